@@ -43,7 +43,6 @@ class Stages:
     Device time and computing time add up to one progress bar; a computed device counts with 5 % of its time.
 
     Args:
-        root: of the commissioning or investigation.
         settings: plain data that all results depend on.
         opens: opens the device; None where nothing is moved.
         progress: called with the time passed, the time expected [s], and a note.

@@ -196,7 +196,6 @@ class Outcome(Generic[S, F]):
     """Study with the results of all its jobs.
 
     Attributes:
-        folder, meta: of the run.
         drawn: what was drawn, see `Study.draw`.
     """
 
@@ -244,7 +243,6 @@ class Study(Generic[S, J, F]):
         summary: table that the command line shows at the end, and its digits; None for none.
         stages: of the jobs, in their order; each may need files that the stages before it leave.
         outcome: type of its outcome.
-        encode: a result as JSON.
     """
 
     name: str

@@ -59,7 +59,6 @@ class Mutant:
     """Single wrong line. A harmless change, which leaves the behaviour as it is, is no mutant.
 
     Attributes:
-        name: the resulting fault.
         file: path relative to the root of the checkout.
         old: text that occurs exactly once in the file.
         new: replacement of that text.
@@ -99,7 +98,6 @@ class Result:
     """Outcome of one mutant.
 
     Attributes:
-        name, room: of the mutant.
         verdict: `killed`, `survived`, or `error` if nothing can be concluded.
         by: first test that failed, `timeout`, or the error.
         seconds: duration [s].

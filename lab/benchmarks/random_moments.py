@@ -127,7 +127,6 @@ class Lane:
 
     Attributes:
         folder: of `device.csv`.
-        port: of the relay.
         orders: a byte written there stalls the network.
     """
 
@@ -239,12 +238,10 @@ class Moment:
     """One fault and its consequences.
 
     Attributes:
-        kind: of the fault.
         at_s: time after the first command [s].
         from_mm: held command of the device at that time [mm].
         rise_mm: motion away from the safe command after the commands in transit [mm].
         safe_s: time until it holds the safe command for good; infinite if it never does [s].
-        samples: in the log.
         fault: violated condition; empty if there is none.
     """
 

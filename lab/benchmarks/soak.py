@@ -77,9 +77,7 @@ class Soaked:
     """Result of one run.
 
     Attributes:
-        transport, rate_hz: of the run.
         ended: empty for a complete run, else its last message.
-        samples, missed, skipped: of the run.
         execution, jitter: `median_s`, `p99_s`, `greatest_s` and others, see `TimingSummary`, and `least_s` of the
             samples that were planned [s].
         tracking_deg: RMS of measured minus reference angle [deg].

@@ -88,7 +88,6 @@ def set_up(
     """Draw a device, identify its simulator, and draw its parameter deviations and the recording plan.
 
     Args:
-        kind: of the device.
         spread: of the mounting; 0 keeps the device as it was identified.
         plan: of the recording; drawn where left out.
         moved: what became of the device since it was identified; its friction is then mounted as it is.

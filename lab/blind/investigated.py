@@ -99,7 +99,6 @@ class ScoredInvestigation:
     Attributes:
         case, truth: name of the case, and of its cause.
         ratio: gap that the cause leaves after retuning in the case's own trials, in floors.
-        verdict, said: of the investigation.
         device_s, battery_s: device time that it took, and that of the case's own trials [s].
     """
 

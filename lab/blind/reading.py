@@ -38,7 +38,6 @@ class DiagnosisReading:
         densities: of the retuned error by region; None without a statement on that region.
         others: answers of simple rules, by name of the rule.
         final_trials: names of the trials on which the closed share was measured.
-        closed_shares: of each effect.
         groups: numbers of the trials of each configuration.
     """
 

@@ -50,11 +50,7 @@ def retune(simulator: Simulator, commands: Sequence[Vec], angles: Sequence[Vec])
 
 
 def _fitted(simulator: Simulator, trials: Sequence[Trial]) -> Vec:
-    """Parameters of the chain after the refit, within the freedom that the diagnosis retunes, too.
-
-    A parameter that equals an effect (the rate term of a Prandtl-Ishlinskii core, the ratio of a
-    backlash's slopes) stays fixed: its refit would hide the effects that are measured here.
-    """
+    """Parameters of the chain after the refit; one that equals an effect stays fixed, since its refit would hide it."""
     command = np.concatenate([trial.command for trial in trials])
     baseline = baseline_of(simulator.chain, Range(lower=float(command.min()), upper=float(command.max())))
     runs = FreeRuns(simulator.chain, trials)

@@ -166,7 +166,6 @@ def run_orders(
     Args:
         folder: made by `make_blind`.
         cases: how many; the first ones, which are drawn at random.
-        orders: of each.
 
     Returns:
         Diagnoses that failed, in this call.
@@ -334,7 +333,6 @@ def closed_in_later_session(findings: Findings, trials: Sequence[Trial]) -> floa
     perfect model. As in `FinalErrors.closed`, what jumps leave by their nature counts as closed.
 
     Args:
-        findings: of a diagnosis.
         trials: a whole session of the device, ordered as the first one was.
     """
     later = prepare(trials, findings.simulator, ordered=findings.prepared.order == "known")

@@ -54,7 +54,6 @@ class CommissionResult(Result):
 
     Attributes:
         message: the error of a failed job, else the verdict of the commissioning.
-        facts: of the device, for tables.
         figures: by controller and figure such as `commissioned.rmse_deg`, see `identify.job.scores`.
     """
 

@@ -135,11 +135,7 @@ FigureOfRun = Callable[[ControlOutcome, ControlResult], float]
 
 @dataclass(frozen=True)
 class ControlBar:
-    """Requirement: a figure of the runs in its scope, and its upper limit.
-
-    Attributes:
-        limit: the most that is allowed.
-    """
+    """Requirement: a figure of the runs in its scope, and its upper limit."""
 
     name: str
     limit: float

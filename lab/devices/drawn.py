@@ -52,7 +52,6 @@ class DrawnDevice:
         x = servo or lag(u(t - delay)),  z' = (x - z) / creep_s,  theta = core(x + creep z),  y = theta + noise
 
     Attributes:
-        number: in the draw, from 0.
         family: of `FAMILIES`.
         lag_s: of the drive [s], 0 for none; of a servo the delay of a ramp, 2 damping / frequency.
         damping: of a second-order servo; 0 for a lag of first order.
@@ -60,7 +59,6 @@ class DrawnDevice:
         creep: final over instant answer of the drive to a step, less 1; 0 for none.
         creep_s: its time constant [s].
         rate_per_s: greatest change of the command [command unit/s].
-        seed: of the sensor noise.
     """
 
     number: int
@@ -268,11 +266,7 @@ def at_rest(device: DrawnDevice, p: Packed) -> tuple[float, Vec]:
 
 @final
 class DrawnPlant(ComputedPlant):
-    """Random device as a plant; a reset leaves it at rest at command 0.
-
-    Args:
-        seed: of the noise.
-    """
+    """Random device as a plant; a reset leaves it at rest at command 0."""
 
     def __init__(self, device: DrawnDevice, seed: int) -> None:
         self.device, self.packed = device, packed(device, device.delay_s)

@@ -31,10 +31,7 @@ def recordings(plant: DrawnPlant, quick: bool = False) -> tuple[Trial, ...]:
 
 
 def _recorded(plant: DrawnPlant, motion: Trajectory, name: str) -> Trial:
-    """Command within its rate limit and the angle at the end of its sample, with a final return to rest.
-
-    The command keeps to the limit of its speed.
-    """
+    """Command within its rate limit and the angle at the end of its sample, with a final return to rest."""
     limits, dt = plant.device.limits, plant.dt
     asked = motion(dt * np.arange(round(motion.duration_s / dt) + 1, dtype=np.float64))
     back = np.arange(asked[-1], limits.lower, -_RETURN * limits.rate * dt)

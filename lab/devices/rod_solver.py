@@ -354,10 +354,7 @@ def solve(place: float, s: Any, w: Work, k: Knots, p: RodNumbers, d: StepNumbers
 
 @njit(cache=True, error_model="numpy")
 def _loads(bends: Any, late: Any, moments: Any, w: Work, p: RodNumbers, d: StepNumbers) -> None:
-    """Set the bending moments besides the tendon's, from `moments` (n,) of gravity, `bends` (n,) and `late` (2, n).
-
-    `bends` (n,) and `late` (2, n) are those at the step's begin, `moments` (n,) of gravity.
-    """
+    """Set the bending moments besides the tendon's, from `moments` (n,) of gravity, `bends` (n,) and `late` (2, n)."""
     for i in range(p.segments):
         load = moments[i]
         for b in range(2):

@@ -159,7 +159,6 @@ class DeviceSpec:
     """Description of a device.
 
     Attributes:
-        name: of it, in tables.
         body: from the drive's position to the tip's angle.
         drive_rate: of the drive, whose position is the held command [mm/s].
         noise_deg, quantum_deg: of the sensor [deg].
@@ -169,8 +168,6 @@ class DeviceSpec:
         sessions: whether it accepts commands only after a greeting, and a new greeting after an action of its watchdog;
             else it accepts all commands.
         watchdog_s, return_rate: silence after which it returns to rest, and the rate of the return [mm/s].
-        faults: of the device.
-        seed: of its noise.
     """
 
     name: str

@@ -288,10 +288,7 @@ def _outside(truth: Truth, fault: DeviceFault) -> float:
 
 
 def _ages(truth: Truth) -> float:
-    """First command for which all angles of the connection are older than `sensor.age_limit_s`.
-
-    The time of flight of the first readings of a connection is unknown; a period and a sample do not count as age.
-    """
+    """First command for which all angles are older than `sensor.age_limit_s`, a period and a sample not counted."""
     youngest = _AGE_S + max(truth.asked.dt_s, 1.0 / truth.device.spec.stream_hz)
     sent = np.isfinite(truth.received)
     found = []

@@ -124,7 +124,6 @@ class IdentifiedPlant(ComputedPlant):
     Args:
         rest_deg: angle that it rests at before a run, at its lowest command [deg].
         noise_deg: standard deviation of the sensor's white noise [deg].
-        seed: of the noise.
     """
 
     def __init__(self, known: ControllerModel, rest_deg: float, noise_deg: float, seed: int) -> None:

@@ -131,7 +131,7 @@ def _judged(
 
 
 def _rest(name: str, results: Sequence[IdentifyResult]) -> Bar:
-    """Share over devices without creep, since creep requires a moving command to keep the tip still."""
+    """Bar on the share of settled hold time at rest; with creep the command must move to keep the tip still."""
     samples = sum(result.figures["linearised.hold_samples"] / float(result.facts["rate_hz"]) for result in results)
     still = sum(result.figures["linearised.rest_samples"] / float(result.facts["rate_hz"]) for result in results)
     restless = tuple(result.job.key for result in results if at_rest(result.figures) < 0.99)

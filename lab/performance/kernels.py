@@ -56,10 +56,10 @@ def rollout_flops(hidden: int, layers: int, plans: int, horizon: int) -> int:
 
 
 def jacobian_flops(hidden: int, layers: int, horizon: int) -> int:
-    """(H + H (H + 1) / 2) F: forward sensitivity, one row for the motion and one for each command given so far.
+    """Operations of the Jacobian, (H + H (H + 1) / 2) F, by forward sensitivity.
 
-    A tangent row takes the same matrix products as the motion; command j has none before sample j, so that sample k
-    has k of them (triangular growth): 230 rows at H = 20.
+    There is one row for the motion and one tangent row for each command given so far, with the same matrix products.
+    Command j has no tangent row before sample j, so that sample k has k of them (triangular): 230 rows at H = 20.
     """
     return (horizon + horizon * (horizon + 1) // 2) * step_flops(hidden, layers)
 

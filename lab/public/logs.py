@@ -71,11 +71,7 @@ the mean of each file is taken off. Compare the errors less their mean: the offs
 
 
 def _named(path: Path) -> tuple[str, float]:
-    """Seal, and pressure [bar], from a file's name.
-
-    Raises:
-        LogError: if it has another form.
-    """
+    """Seal, and pressure [bar], from a file's name; `LogError` if it has another form."""
     if (match := _NAME.fullmatch(path.stem)) is None:
         raise LogError(f"{path}: expected a name like O-ring_3bar.tsv: seal and pressure")
     return match[1], float(match[2])
@@ -106,7 +102,7 @@ def _spread(parts: Sequence[Trial]) -> float:
 
 
 def _pressures(logs: Mapping[Path, Sequence[Trial]], own: Sequence[Path], test: Path) -> Iterator[Case]:
-    """Fit to some files of a seal, score on another; friction as it is, and as a line over the pressure has it."""
+    """Case with a fit to some files of a seal and a score on another; friction unscaled, or linear in the pressure."""
     if not own:
         raise LogError(f"{test}: no file of the same seal in --data, expected one or more")
     parts = {path: _centred(found) for path, found in logs.items()}

@@ -172,8 +172,6 @@ class PublicData(ABC):
     """Public data set with its cases and published figures.
 
     Attributes:
-        title, about: of the page.
-        units: of its command and output.
         published: figures of others; empty where none is known.
         note: what the published figures are of, or that there are none.
     """
@@ -228,7 +226,6 @@ def withheld_end(parts: Sequence[Trial], share: float, name: str) -> tuple[list[
     Args:
         parts: of one log, cut at its gaps.
         share: of its samples, that is seen.
-        name: of the test.
     """
     seen, left = [], []
     open_samples = round(share * sum(map(len, parts)))

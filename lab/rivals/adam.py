@@ -82,10 +82,10 @@ class WindowLoss:
 
 
 def fit_by_adam(task: ChainTask, settings: AdamSettings, progress: FitProgress | None = None) -> ChainFit:
-    """Adam from the best of the task's starts; the best epoch by the loss over all windows side by side is kept.
+    """Fit by Adam from the best of the task's starts; the epoch with the lowest loss over all windows is kept.
 
-    Parameters stay within their physical bounds. KeyboardInterrupt ends it and keeps the best epoch so far; progress
-    gets the epoch and the root of the best loss.
+    These windows lie side by side. Parameters stay within their physical bounds. KeyboardInterrupt ends the fit and
+    keeps the best epoch so far; progress gets the epoch and the root of the best loss.
     """
     dt, template = check_trial_set(task.trials), task.starts[0]
     pieces = [_counted(trial, settings) for trial in task.trials]

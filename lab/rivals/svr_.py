@@ -94,7 +94,6 @@ class SvrFit:
     """Identified support-vector regression.
 
     Attributes:
-        weights: the model.
         choice: the combination with the least error on what was left out.
         judged: that error, root mean square, of every combination compared [unit of the output].
         rmse: of the final model on its own samples [unit of the output].

@@ -119,11 +119,7 @@ def _told(
     columns: Sequence[str],
     row: Callable[[V], tuple[str, list[str], str]],
 ) -> tuple[list[V], int]:
-    """Print the verdicts with a progress bar, messages and failures; return them with the number of failures.
-
-    Args:
-        row: of a verdict its place, the cells after its name, and the words that the user sees.
-    """
+    """Print the verdicts with a progress bar, messages and failures; return them with the number of failures."""
     verdicts: list[V] = []
     try:
         with bar("faults", count) as show:

@@ -132,11 +132,7 @@ def _listed(name: str) -> Study[Any, Any, Any]:
 
 
 def _completed(begun: BegunStudy[Any, Any, Any], name: str, workers: int) -> Outcome[Any, Any]:
-    """Execute the open jobs of a study with a progress bar, and report failures; Ctrl-C exits with code 130.
-
-    Raises:
-        typer.Exit: with 130 if the user ended it.
-    """
+    """Execute the open jobs of a study with a progress bar, and report failures; Ctrl-C exits with code 130."""
     minutes = begun.minutes(workers)
     errors.print(f"{len(begun.costs)} of {len(begun.jobs)} jobs to do on {workers} cores: about {minutes} min")
     try:

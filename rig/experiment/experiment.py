@@ -414,7 +414,6 @@ class Steering(Phase):
 
     Attributes:
         tip: the controller, for targets, its state and its stop.
-        limits: of the command.
         unit: of the command, mm or bar.
         safe_command: target of a stop; NaN rests in place.
 

@@ -29,7 +29,6 @@ class LiveState:
     """State of a run for the live views, updated by one thread.
 
     Attributes:
-        last: the newest sample.
         t, reference, angle, command: the last 20 s, decimated, (P,); not-a-number without an angle.
         rms_deg, rate_hz: tracking error and real rate of the loop over these 20 s.
         late, total: histograms of lateness and of the execution time of a sample, since the start.

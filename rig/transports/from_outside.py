@@ -101,7 +101,6 @@ class GuardedTransport(Transport):
 
     Args:
         make: makes the transport.
-        name: of it, in messages.
 
     Raises:
         ConfigError: if it cannot be made within 10 s, or lacks methods of a transport.

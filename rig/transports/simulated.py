@@ -35,7 +35,6 @@ class SimulatedTransport(Transport):
     Args:
         held: the command that the plant holds after its reset.
         sensor: what is shown of its angle; a first frame shows the rest.
-        seed: of the frames.
 
     Raises:
         ConfigError: if the plant has another sample time.
