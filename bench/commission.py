@@ -193,7 +193,6 @@ def _hashes(files: Sequence[Path]) -> dict[str, str]:
 
 
 def _computing_s(block: CommissionBlock) -> float:
-    """Expected computing time [s]."""
     return sum(seconds for name, seconds in _COMPUTING_S.items() if name != DIAGNOSE or block.diagnose)
 
 

@@ -215,7 +215,6 @@ def _bars_data(bars: Callable[[Any], Sequence[Bar]], results: str, outcome: Any)
 
 
 def _bars_summary(bars: Callable[[Any], Sequence[Bar]], outcome: Any) -> StudyTable:
-    """Bars in the form of the command line."""
     return bars_table(bars(outcome)).only("Bars", "bar", "number", "goal", "devices", "state")
 
 

@@ -339,7 +339,6 @@ class ControlLoop:
         return Times(woke, deadline, self._clock.now_ns(), self._clock.wall_ns())
 
     def _conclude(self, times: Times, seen: Observation, decision: Decision, u: float, faults: tuple[str, ...]) -> None:
-        """Count and record the sample."""
         period = times.woke - self._woke_ns
         if self._sequence:
             self.timings.period.add(_S * period)
@@ -363,10 +362,7 @@ class ControlLoop:
         self._sequence += 1
 
     def _is_slow(self, sent: bool) -> bool:
-        """Whether the transport took longer than a sample; a too large accumulated delay requests a stop.
-
-        Quicker samples with a sent command reduce the delay, since a loaded machine is no slow wire.
-        """
+        """Whether the transport took longer than a sample; a too large accumulated delay requests a stop."""
         over, most = self._wire_ns - self._dt_ns, min(self._stall_ns, _SLOW_NS)
         if over > 0 or sent:
             self._behind_ns = max(0, self._behind_ns + min(over, most // 3))

@@ -259,7 +259,6 @@ def sleeping(file: Path, plan: Plan) -> Any:
 
 
 def _measured(folder: Path, transport: str, rate_hz: float, ended: str, taken_s: float) -> Soaked:
-    """Statistics of a run from its files."""
     if not (folder / "run" / "timing.json").exists():
         raise ConfigError(f"{transport} at {rate_hz:g} Hz: the run did not begin: {ended}")
     run = RunFolder.open(folder / "run")

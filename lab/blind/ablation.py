@@ -140,7 +140,6 @@ def _row(component: str, whole: HeldOutErrors, less: HeldOutErrors, floor_deg: f
 
 
 def _asked(row: Ablated, trials: Sequence[Trial], less: Simulator, folder: Path, seed: int) -> Ablated:
-    """Row with the answer of the diagnosis."""
     found, _ = conclude(find_causes(trials, less, seed=seed, ordered=False))
     data: dict[str, Any] = dict(found.as_json())
     save_simulator(less, folder / "sim.yaml")

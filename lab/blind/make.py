@@ -127,11 +127,7 @@ def device_of(suite: Suite, number: int) -> type[Core]:
 
 
 def _labels(kind: type[Core]) -> tuple[str, ...]:
-    """Effects that a case of this device can have at three floors.
-
-    A retuned muscle simulator absorbs a wall or a weight of any size, and muscle friction cannot exceed the
-    pull, so that speed-dependent friction stays small, too.
-    """
+    """Possible effects at three floors; a muscle, when retuned, absorbs a wall or weight and bounds its friction."""
     return tuple(label for label in LABELS if kind is not MuscleCore or label not in _SMALL_ON_A_MUSCLE)
 
 

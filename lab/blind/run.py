@@ -316,7 +316,6 @@ def _recorded(job: DiagnosisJob) -> bool:
 
 
 def _followed(job: DiagnosisJob) -> list[Trial]:
-    """Trials recorded at the request of a diagnosis."""
     return _later(job.folder, job.case) if job.kind == "follow_up_diagnoses" else []
 
 

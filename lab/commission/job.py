@@ -248,7 +248,6 @@ def _commission(bench: StudyBench) -> tuple[str, dict[str, float]]:
 
 
 def _verified(commissioned: Commissioned) -> dict[str, float]:
-    """Verdict figures of the commissioning."""
     figures = {"device_s": commissioned.device_s}
     if commissioned.verified is not None:
         figures["verified"] = float(commissioned.verified.verified)
@@ -384,7 +383,6 @@ def _model(tip: Path) -> Path:
 
 
 def _known(tip: Path) -> tuple[ControllerModel, LawSettings]:
-    """Model and controller of a commissioned device."""
     return controller_model(str(_model(tip))), tip_settings(tip).controller.resolved()
 
 

@@ -145,7 +145,6 @@ def _median(name: str, values: Figures, limit: float) -> Bar:
 
 
 def _by_family(outcome: CommissionOutcome, name: str, figure: Callable[[Figures], float], limit: float) -> list[Bar]:
-    """Median over the devices of each family."""
     values, judged = by_device(outcome.figures, figure), []
     for family in FAMILIES:
         members = [value for device, value in values.items() if outcome.families[device] == family]

@@ -116,14 +116,12 @@ def commission_jobs(settings: CommissionStudySettings, drawn: Sequence[DrawnDevi
 
 
 def _inputs(job: CommissionJob, settings: CommissionStudySettings, folder: Path) -> dict[str, Any]:
-    """Parameters of the device, the stage and the settings."""
     del folder
     device = drawn_devices(settings)[job.number]
     return {"device": repr(device), "stage": job.stage, "settings": settings.model_dump()}
 
 
 def _facts(job: CommissionJob, settings: CommissionStudySettings) -> dict[str, Any]:
-    """Facts of the device for tables."""
     device = drawn_devices(settings)[job.number]
     facts = {"family": device.family, "rate_hz": device.rate_hz, "noise_deg": device.noise_deg, **device.truth}
     return {"facts": facts}

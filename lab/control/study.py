@@ -47,7 +47,6 @@ def run_job(job: ControlJob, settings: ControlSettings, folder: Path) -> dict[st
 
 
 def _data(outcome: ControlOutcome) -> dict[str, Any]:
-    """Runs and bars; missing values are null."""
     runs = [
         {
             "plant": run.job.plant,
@@ -71,7 +70,6 @@ def _summary(outcome: ControlOutcome) -> StudyTable:
 
 
 def _costs(jobs: Sequence[ControlJob], settings: ControlSettings) -> Mapping[str, float]:
-    """Processor time by key of the job [s]."""
     durations = {name: _duration_s(name, settings) for name in settings.motions}
     return {job.key: _seconds(job, settings, durations) for job in jobs}
 

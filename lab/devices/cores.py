@@ -331,10 +331,7 @@ class RodCore(Core):
 
 @lru_cache(maxsize=64)
 def _ways(core: RodCore, places: bytes, factors: bytes) -> Vec:
-    """Tendon displacement in the rod (K,) [mm] for drive positions (K,) [mm] and friction factors (K,), as bytes.
-
-    Results are cached, since effects behind the rod are sized and recorded on the same motion of it.
-    """
+    """Tendon displacement in the rod [mm] for drive positions [mm] and friction factors, (K,) bytes each; cached."""
     x, scale = (np.frombuffer(data).copy() for data in (places, factors))  # writable, as the kernel is compiled for
     rod, stroke = core.rod(), STROKE * TRAVEL_MM
     before = np.concatenate([np.linspace(0.0, stroke, _BEFORE), np.linspace(stroke, x[0], _BEFORE)])

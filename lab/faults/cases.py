@@ -133,7 +133,6 @@ def _commands(name: str, expected: Ending, fault: str, **more: float) -> FaultCa
 
 
 def _sensed(case: FaultCase, sensor: tuple[Mapping[str, Any], Mapping[str, Any]]) -> FaultCase:
-    """Case with another sensor."""
     device, run = sensor
     return replace(case, drive={**case.drive, "sensor": device}, settings={**case.settings, "sensor": run})
 

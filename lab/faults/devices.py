@@ -83,7 +83,6 @@ def _with(kind: FaultKind, at_s: float = 3.0, **more: float) -> tuple[DeviceFaul
 
 
 def _lagging(random: np.random.Generator) -> Iterator[DeviceCase]:
-    """Devices with a lag and a later fault."""
     kinds: tuple[FaultKind, ...] = ("stuck", "silent", "outside", "restarts", "stuck")
     for lag_s, kind in zip((0.05, 0.15, 0.25, 0.35, 0.5), kinds, strict=True):
         body, at_s = Body(lag_s=lag_s), float(random.uniform(4.0, 8.0))
@@ -153,7 +152,6 @@ def _sensors(random: np.random.Generator) -> Iterator[DeviceCase]:
 
 
 def _held() -> Iterator[DeviceCase]:
-    """Devices that report a false held command."""
     for kind_of, size, lasts_s in (("burst", 5.5, 0.24), ("burst", 0.0, 0.24), ("constant", 2.0, math.inf)):
         fault = DeviceFault("held", 3.0, size=size, lasts_s=lasts_s)
         yield DeviceCase(DeviceSpec(f"false held, {kind_of} of {size:g}", faults=(fault,)))
@@ -164,7 +162,6 @@ def _held() -> Iterator[DeviceCase]:
 
 
 def _wires() -> Iterator[DeviceCase]:
-    """Devices with slow calls of the transport."""
     for ms in (5, 20, 50, 90):
         yield DeviceCase(DeviceSpec(f"read takes {ms} ms", faults=_with("reads_slowly", 3.0, size=1e-3 * ms)))
     for ms in (20, 90):

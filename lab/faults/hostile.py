@@ -382,7 +382,6 @@ def served(device: HostileDevice) -> Iterator[int]:
 
 
 def _serve(spec: DeviceSpec, pipe: Pipe) -> None:
-    """Serve until the process is ended."""
     device, link = HostileDevice(spec), UdpLink(_HOST, 0, spec.watchdog_s)
     device.begin()
     offset = time.monotonic_ns() - device.state.ns

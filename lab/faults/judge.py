@@ -116,10 +116,7 @@ def _latched(folder: Path) -> str:
 
 
 def _beyond(received: Sequence[tuple[float, float]]) -> int:
-    """Commands (time of receipt [ns], value) beyond the limits; the rate has a sample's grace for either end's jitter.
-
-    The log of the controller is looked at without any, see `_log`.
-    """
+    """Commands (receipt time [ns], value) beyond the limits; the rate has one sample of grace for jitter."""
     count = 0
     for (t0, u0), (t1, u1) in pairwise(received):
         count += abs(u1 - u0) > RATE_PER_S * (1e-9 * (t1 - t0) + 2 / RATE_HZ) + _CLOSE
@@ -179,11 +176,7 @@ def _claim(played: Played, rows: Rows) -> str:
 
 
 def _log(folder: Path, case: FaultCase) -> tuple[str, int]:
-    """Whether the log is whole, and commands in it beyond the limits: sample by sample, without grace.
-
-    A sample in which nothing was sent has the source `wait` and the command that the device says it holds, which may be
-    anywhere. The command after it is measured from there, as every other one from that before.
-    """
+    """Whether the log is whole, and its commands beyond the limits; a sample `wait` holds a reported command."""
     if case.expected == "refuses":
         return ("whole" if not (folder / "log.csv").exists() else "a log without a run"), 0
     try:

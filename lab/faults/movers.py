@@ -196,7 +196,6 @@ def _recorder(run: RunSettings, folder: Path) -> Sink:
 
 
 def _record(settings: dict[str, Any], folder: Path, how: How) -> Move:
-    """Record as `record`."""
     del how
     bench = BenchSettings.parse({**settings, "realtime": {"backend": "python"}})
     commands = _excitation(bench)

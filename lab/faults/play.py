@@ -187,8 +187,6 @@ def play(case: FaultCase, folder: Path, link: Link = Link(), program: Sequence[s
 
 @final
 class _Stage:
-    """Processes of one case."""
-
     def __init__(self, case: FaultCase, folder: Path, link: Link, program: Sequence[str]) -> None:
         self._case, self._folder, self._link, self._program = case, folder, link, program
         self._processes: list[subprocess.Popen[str]] = []
@@ -213,7 +211,6 @@ class _Stage:
         return Played(self._folder, self._link, self._fault_ns, ended_ns, code, said, self._second_code)
 
     def clear(self) -> None:
-        """End all processes that still run."""
         if self._terminal is not None:
             self._terminal.close()
         for process in self._processes:

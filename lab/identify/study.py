@@ -132,13 +132,11 @@ def identify_jobs(settings: IdentifySettings, drawn: Sequence[DrawnDevice]) -> t
 
 
 def _inputs(job: IdentifyJob, settings: IdentifySettings, folder: Path) -> dict[str, Any]:
-    """Parameters of the device and the settings."""
     del folder
     return {"device": repr(drawn_devices(settings)[job.number]), "settings": settings.model_dump(mode="json")}
 
 
 def _facts(job: IdentifyJob, settings: IdentifySettings) -> dict[str, Any]:
-    """Facts of the device for tables."""
     device = drawn_devices(settings)[job.number]
     facts: dict[str, str | float] = {
         "family": device.family,

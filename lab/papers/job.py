@@ -192,7 +192,6 @@ def before(trial: Trial, logs: Sequence[Trial], parts: int) -> Trial | None:
 
 
 def _shortened(split: str, trials: tuple[Trial, ...]) -> tuple[Trial, ...]:
-    """A few trials, reduced to their first samples."""
     part = split.rpartition("/")[2]
     count = _QUICK_TRIALS.get(part, len(trials) if part != LOGS else 3)
     return tuple(trial.select(0, max(_QUICK_SAMPLES, round(_QUICK_S / trial.dt))) for trial in trials[:count])
@@ -341,7 +340,6 @@ def _trained(task: TrainingTask, folder: Path) -> tuple[Identified, tuple[Score,
 
 
 def _numbers(identified: Identified) -> int:
-    """Number of parameters of a model."""
     if identified.simulator is not None:
         return int(identified.simulator.chain.values.size)
     graph = identified.bundle.graph() if callable(identified.bundle.graph) else identified.bundle.graph

@@ -121,7 +121,6 @@ def _pressures(logs: Mapping[Path, Sequence[Trial]], own: Sequence[Path], test: 
 
 
 def _centred(parts: Sequence[Trial]) -> list[Trial]:
-    """Values minus the mean of all parts."""
     mean = float(np.concatenate([part.angle for part in parts]).mean())
     return [replace(part, angle=part.angle - mean) for part in parts]
 

@@ -174,12 +174,10 @@ def _cases(settings: PublicSettings) -> Sequence[Case]:
 
 
 def _jobs(settings: PublicSettings, cases: Sequence[Case]) -> tuple[PublicJob, ...]:
-    """A job for each case and kind."""
     return tuple(PublicJob(case.name, kind) for case in cases for kind in dict.fromkeys(settings.kinds))
 
 
 def _inputs(job: PublicJob, settings: PublicSettings, folder: Path) -> dict[str, Any]:
-    """The settings and the files."""
     del folder
     files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in data_set(settings).files(settings)]
     return settings.model_dump(mode="json") | {"kinds": job.kind, "data": job.case, "test": files}

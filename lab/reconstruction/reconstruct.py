@@ -170,8 +170,6 @@ class Reconstruction:
 
 @dataclass(frozen=True, eq=False)
 class _ScanClouds:
-    """Points of one scan."""
-
     distance: Vec
     surface: Mat
     truth: Mat

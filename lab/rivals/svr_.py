@@ -213,7 +213,6 @@ def _scaled(values: Vec, bounds: Range) -> Vec:
 
 
 def _folds(samples: _Samples, settings: SvrSettings, rng: np.random.Generator) -> list[NDArray[np.bool_]]:
-    """Masks of the held-out samples."""
     count = settings.folds
     numbers = np.unique(samples.trials)
     if settings.by_trial and numbers.size > 1:

@@ -176,7 +176,6 @@ def _show(one: StudyTable, digits: int) -> None:
 
 
 def _rates(text: str | None) -> tuple[float, ...]:
-    """Rates of a comma-separated text [Hz]; `ConfigError` if one is not a number."""
     numbers = []
     for part in _names(text):
         try:
@@ -187,5 +186,4 @@ def _rates(text: str | None) -> tuple[float, ...]:
 
 
 def _names(text: str | None) -> tuple[str, ...]:
-    """Names of a comma-separated text."""
     return tuple(name.strip() for name in (text or "").split(",") if name.strip())

@@ -131,8 +131,6 @@ class PageServer:
 
 @final
 class _Client(asyncio.Protocol):
-    """Connection of a client: one request, and its answer."""
-
     def __init__(self, server: PageServer) -> None:
         self._server = server
         self._got = bytearray()

@@ -422,7 +422,6 @@ _LOG_FIELDS = {
 
 
 def _event(sample: Sample, stamp: int) -> dict[str, Any]:
-    """Message for the log panel of Foxglove."""
     text = ": ".join(part for part in (one_line(sample.source), one_line(sample.status)) if part)
     faults = [one_line(fault) for fault in sample.faults]
     parts = [text, f"faults: {', '.join(faults)}" if faults else "", "deadline missed" if sample.missed else ""]

@@ -306,7 +306,6 @@ class Intake:
         return "", None
 
     def _is_frame(self, reading: Reading) -> bool:
-        """Whether the reading contains a new frame."""
         if self._settings.kind != "intermittent" or not math.isfinite(reading.angle_deg):
             return False
         before, self._shown = self._shown, (reading.sent_ns, reading.angle_deg)

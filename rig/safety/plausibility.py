@@ -256,7 +256,6 @@ class DriveFollowing:
         )
 
     def _allowed(self, sent: float, now_ns: int) -> tuple[float, float]:
-        """Least and greatest admissible held command at present."""
         window, elapsed_ns = self._sent, now_ns - self._sent[-1][0] if self._sent else 0
         self._lagged = _followed(self._lagged, sent, elapsed_ns / self._window_ns)
         window.append((now_ns, sent))

@@ -72,7 +72,6 @@ HASHES: dict[type[Float64 | Float64Stamped], str] = {
 
 
 class _Wire:
-
     def __init__(self, settings: TopicSettings, out: str, into: str) -> None:
         local = settings.interface is None
         xml = _XML.format(

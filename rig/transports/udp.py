@@ -122,7 +122,6 @@ _GOODBYES = 3
 
 
 def _open(host: str, port: int, what: str) -> socket.socket:
-    """Open a bound socket that does not block."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     wire = socket.socket(family, socket.SOCK_DGRAM)
     try:
