@@ -27,14 +27,14 @@ HOLD_S = 0.6
 """Rest at every step of the climb, at least [s]."""
 
 _SETTLES_S = 2.5  # longest further rest [s]
-_WINDOW_S = 0.2  # a tip has come to rest when it moves by little in such a time [s]
-_SETTLED = 0.1  # of its step: so little
-_CAUTION = 1.5  # times the steepest slope seen is what the next step is taken to do
-_LEAST_STEP = 0.25  # of a step: less is not worth going
-_STILL = 0.45  # of the travel that the watch on motion allows
+_WINDOW_S = 0.2  # window of the test for rest [s]
+_SETTLED = 0.1  # greatest motion at rest, as a share of the step
+_CAUTION = 1.5  # factor on the steepest slope so far, for the next step
+_LEAST_STEP = 0.25  # shortest step, as a share of a full one
+_STILL = 0.45  # share of the motion watch's travel
 _DASH_SHARE, _DASH_S = 0.5, 0.6  # of the range, and of a second at the greatest rate
-_FOLLOWS = 2  # samples that the device may need longer than the command for the same way
-_CAREFUL = 0.9  # of the rate at which a device that does not follow has moved
+_FOLLOWS = 2  # samples by which the device may lag behind the command
+_CAREFUL = 0.9  # share of the measured rate of a device that does not follow
 
 
 @dataclass(frozen=True)
@@ -208,7 +208,7 @@ class Climb(Phase):
         """Size of the next step: whole, shortened near the limits, 0 if little remains."""
         whole, left = (self._end - self._start) / self._steps, self._end - self._at
         if self._at == self._start:
-            return _LEAST_STEP * whole  # nothing is known of the slope yet
+            return _LEAST_STEP * whole  # the slope is still unknown
         step = whole if abs(left) > 1.2 * abs(whole) else left
         move = _CAUTION * self._slope * step
         room = max(self._limits[1] - angle if move > 0 else angle - self._limits[0], 0.0)
@@ -270,7 +270,7 @@ class Dash(Recorded):
         if not np.isfinite(reported).any():
             return limit
         lasts, wanted = _ten_to_ninety(reported, sent[0], self._span), _ten_to_ninety(sent, sent[0], self._span)
-        if math.isnan(lasts):  # it did not even come to nine tenths of the way
+        if math.isnan(lasts):  # it did not reach nine tenths of the travel
             known = reported[np.isfinite(reported)]
             moved = float(np.abs(known - sent[0]).max())
             return _CAREFUL * min(limit, max(moved / (sent.size * self._bench.dt_s), 0.01 * limit))

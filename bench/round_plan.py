@@ -48,8 +48,8 @@ LEAST_MOTION_S = 8.0
 LEAST_BITS = 0.1
 """Least expected information of a designed motion [bit]."""
 
-_CAREFUL = 0.7  # of the travel without motion that stops a run
-_FURTHER = 2.0  # of the longest first motion: a kind of motion that was not recorded yet
+_CAREFUL = 0.7  # share of the travel without motion that stops a run
+_FURTHER = 2.0  # length of an unrecorded kind of motion, in longest first motions
 _FIRST_SHARE = 0.6  # of the device time that the first motions may take
 
 
@@ -251,7 +251,7 @@ class FirstMotions:
     options: Mapping[str, EvaluatedMotion]  # expected result of each, by the name of its recording
     numbers: Mapping[str, Vec]  # parameters of each in the family (22,)
     explanations: tuple[str, ...]  # hypotheses to discriminate
-    probability: float  # expected one of the right hypothesis; chance is one over their number
+    probability: float  # expected probability of the right hypothesis; chance is one over their number
 
 
 def first_motions(
@@ -378,7 +378,7 @@ def _explanation(name: str, baseline: Baseline, candidate: Candidate | None, res
     q = problem.start(baseline.nominal, [] if candidate is None else [candidate.starts[-1]])
     if candidate is not None:
         sizes = q[problem.size - len(candidate.free) :]
-        sizes[:] = np.where(sizes == 0.0, 1.0, sizes)  # a size of none is one typical change
+        sizes[:] = np.where(sizes == 0.0, 1.0, sizes)  # size 0 is replaced by one typical change
     q = np.clip(q, problem.lower, problem.upper)
     nudged = [np.clip(q + _NUDGE * row, problem.lower, problem.upper) for row in np.eye(problem.size)]
     runs = [free_run(problem.fitted_chain(p), rest_deg) for p in (q, *nudged)]

@@ -25,7 +25,7 @@ from .transports.dds import DdsSettings
 from .transports.transport import Conversion, Datagrams, DeviceLink, Outgoing, Peer, WireUnits
 from .transports.udp import Datagram, Kind, UdpListenSettings, decode
 
-_MESSAGES = 64  # taken at most in one sample
+_MESSAGES = 64  # greatest number in one sample
 _AT_REST = 1e-3  # of the range
 _HEADER = "monotonic_ns,time_s,received,held,angle_deg\n"  # of the log
 
@@ -88,8 +88,8 @@ class ServerCounts:
     samples: int
     commands: int
     beyond: int  # commands beyond the drive's limits of value or rate, which were clipped
-    watchdog: int  # how often the controller fell silent
-    unheard: int  # commands between an action of the watchdog and a new greeting; they were not taken
+    watchdog: int  # number of silences of the controller
+    unheard: int  # rejected commands between an action of the watchdog and a new greeting
     rejected: dict[str, int]  # messages rejected, by cause
 
 
@@ -147,7 +147,7 @@ class SimulatedDevice:
             deadline += dt_ns
             clock.wait_until(deadline)
             behind = clock.now_ns() - deadline
-            deadline += max(0, behind // dt_ns) * dt_ns  # a stalled machine: samples are left out, not crowded
+            deadline += max(0, behind // dt_ns) * dt_ns  # after a stall samples are left out, not made up
             self.sample(1e-9 * (clock.now_ns() - start))
         counts = self._samples, self._commands, self._beyond, self._trips, self._unheard
         return ServerCounts(*counts, dict(self._link.counters))
@@ -284,11 +284,11 @@ def _open_log(settings: DeviceSettings) -> TextIO:
 M = TypeVar("M")
 
 
-_REMEMBERED = 50  # messages that may be replayed
+_REMEMBERED = 50  # stored messages for a replay
 _NS = 1e9
-_STANDING = ("freeze", "blocked", "dislodged")  # faults in which the angle is that of the moment before
+_STANDING = ("freeze", "blocked", "dislodged")  # faults that repeat the previous angle
 
-_TAKEN = 64  # datagrams taken off the socket in one call
+_TAKEN = 64  # datagrams read from the socket in one call
 
 Direction = Literal["readings", "commands"]
 FaultName = Literal[
@@ -470,7 +470,7 @@ class FaultyDatagrams:
                 data, peer = self._wire.recvfrom(size)
             except BlockingIOError:
                 break
-            except ConnectionError:  # the answer to a datagram that nobody took
+            except ConnectionError:  # reply to an undeliverable datagram
                 continue
             self._begin(data)
             self._in.put((data, peer), self._elapsed_s())

@@ -36,16 +36,16 @@ class RunOutcome:
     confirmed: bool  # whether the device has reported that it holds the safe command
     clipped: int  # commands limited by the gate
     unsent: int  # commands that the transport did not take
-    refused: int  # samples on which the sink raised
+    refused: int  # samples with an error of the sink
     faults: dict[str, int]  # samples by fault
     in_c: int = 0
     left_c: dict[str, int] = field(default_factory=dict)
 
 
 _S = 1e-9
-_DISCARD_ROUNDS = 25  # times 4096 readings
-_SLOW_NS = 300_000_000  # how far behind calls of the wire may put the loop
-_FAULTLESS = 5  # samples without a fault before others are taken in C
+_DISCARD_ROUNDS = 25  # batches of 4096 readings
+_SLOW_NS = 300_000_000  # greatest delay of the loop by transport calls
+_FAULTLESS = 5  # fault-free samples before the loop continues in C
 
 
 class Times(NamedTuple):
@@ -106,14 +106,14 @@ class ControlLoop:
         self._past_u: deque[float] = deque(maxlen=REMEMBERED)
         self._past_y: deque[float] = deque(maxlen=REMEMBERED)
         self._start_ns = self._woke_ns = self._boot_ns = self._deadline_ns = 0
-        self._wire_ns = self._behind_ns = 0  # spent in calls of the transport, and what it has cost in the end
+        self._wire_ns = self._behind_ns = 0  # duration of transport calls, and the resulting delay
         self._discarded = 0  # readings before the first sample
         self._failures = 0  # samples that have failed
         self._sequence = self._skipped = self._waited = self._commands = self._not_sent = self._refused = 0
         self._late = False
         self._faultless = 0  # samples in a row without a fault
         self._in_c, self._left_c = 0, Counter[str]()
-        self._refused_ns: int | None = None  # since when no command leaves
+        self._refused_ns: int | None = None  # start of the time without a sent command
         self._newest: Reading | None = None
         self._cause, self._stop_s, self._safe_s, self._confirmed = "", math.nan, math.nan, False
 
@@ -144,7 +144,7 @@ class ControlLoop:
             going = self.sample(deadline)
         try:
             self._transport.stop(goodbye=self._confirmed)
-        except Exception:  # noqa: BLE001 - the run is over; there is nobody left to tell
+        except Exception:  # noqa: BLE001 - the run is over, and no recipient is left
             self._not_sent += 1
         return self.outcome()
 
@@ -203,7 +203,7 @@ class ControlLoop:
                 self._book(sample, compiled.received(sample), decision)
                 if decision.finished:
                     self._finished()
-        except Exception as error:  # noqa: BLE001 - the loop must end at rest, from what the device says that it holds
+        except Exception as error:  # noqa: BLE001 - the loop must end at rest, from the reported command
             self._flag.set(cause_of(error))
             self._anchor.not_sent(self._clock.boot_ns())
         finally:
@@ -243,7 +243,7 @@ class ControlLoop:
         self._boot_ns = boot
         seen = self._observe()
         stop = self._flag.cause or seen.dead
-        # What a slow reading has told is as old as the judgement; for a command it is one more delay.
+        # A slow reading is as old as its check; for a command it is one more delay.
         known = self._anchor.judge(seen, boot if self._gate.anchored else self._clock.boot_ns())
         if not known:
             return self._wait(woke, deadline, seen, stop)
@@ -253,7 +253,7 @@ class ControlLoop:
             seen.angle_deg, self._gate.last, self._late, skipped, seen.held, velocity, seen.frames, seen.shown_deg
         )
         if self._waited and isinstance(self._phase, SafeStop):
-            self._phase.begin(now, Past([], []))  # the way out starts where the device was found
+            self._phase.begin(now, Past([], []))  # the return motion starts at the present command
         self._waited = 0
         if stop := stop or self._anchor.moved:
             self._begin_stop(stop, now)
@@ -317,7 +317,7 @@ class ControlLoop:
         self._flag.set(cause)
         self._failures += 1
         with suppress(Exception):  # the clock itself, or the book-keeping
-            self._anchor.not_sent(self._clock.boot_ns())  # it may have left, and not be in the books
+            self._anchor.not_sent(self._clock.boot_ns())  # it may have been sent without a record
             seen, held = Observation(math.nan, ("sample-failed",), ""), self._gate.last
             times = self._times(max(self._woke_ns, deadline), deadline)
             self._conclude(times, seen, Decision(held, "wait", cause), held, seen.faults)
@@ -328,7 +328,7 @@ class ControlLoop:
 
     def _remember(self, held: float, seen: Observation) -> None:
         """Append the sample to the history for a controller that starts later."""
-        if isinstance(self._phase, AwaitStart):  # the device rests: however long that lasts, it is one sample
+        if isinstance(self._phase, AwaitStart):  # the device rests: a wait of any length counts as one sample
             self._past_u.clear()
             self._past_y.clear()
         self._past_u.append(held)
@@ -417,7 +417,7 @@ class ControlLoop:
             if not wrong or isinstance(self._phase, SafeStop):
                 return decision
             self._begin_stop(wrong, now)
-        return Decision(now.held, "stop", "safe stop: held")  # out of reach: SafeStop never raises
+        return Decision(now.held, "stop", "safe stop: held")  # unreachable: SafeStop never raises
 
     def _begin_stop(self, cause: str, now: PhaseInput) -> None:
         if isinstance(self._phase, SafeStop) and self._phase.cause:
@@ -499,7 +499,7 @@ class ControlLoop:
 
 
 _SHARE = 4  # a quarter of a sample: judging may take as long once more, so half of it is left to decide and to send
-_MOST = 4096  # readings, where the clock stands still meanwhile
+_MOST = 4096  # readings, in case the clock stands still
 _SPARED_NS, _SLOW_FOR_NS = 800_000_000, 3_000_000_000
 
 
@@ -521,7 +521,7 @@ class Reader:
 
     def __init__(self, transport: Transport, clock: Clock, dt_ns: int) -> None:
         self._transport, self._clock, self._dt_ns = transport, clock, dt_ns
-        self._slow_ns: int | None = None  # when reading last took longer than a sample
+        self._slow_ns: int | None = None  # time of the last reading that took longer than a sample
         self._read_ns = 0
 
     def take(self, spared: bool = False) -> Taken:

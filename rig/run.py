@@ -33,9 +33,9 @@ _PAUSE_NS = 1_000_000
 
 Note = Callable[[str], None]
 
-_REPEATS = 5  # of the safe command
-_PATIENCE_S = 1.0  # how long it is sent to a device that does not say that it holds it
-_TOLERANCE = 0.01  # of the range: how far what a device says it holds may lie beside what was sent, where none is set
+_REPEATS = 5  # transmissions of the safe command
+_PATIENCE_S = 1.0  # duration of sending it to a device that does not report it
+_TOLERANCE = 0.01  # default deviation of the reported from the sent command, as a share of the range
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class BenchResult:
     outcome: RunOutcome  # how it ended
     timings: Timings  # period, execution, jitter, misses
     wire: Mapping[str, int]  # messages rejected by the transport, by cause
-    lost: int  # measurements that were sent and never came
+    lost: int  # measurements that were sent and never arrived
     notes: tuple[str, ...]  # what the system did not permit
 
     def as_dict(self) -> dict[str, object]:
@@ -147,11 +147,11 @@ def control_loop(
         return stop_commands(held, velocity, held if math.isnan(safe) else safe, ramps, settings.overshoot, dt_s)
 
     def to_safe(cause: str) -> SafeStop:
-        flag.end()  # whoever asks for something else from now on is told so
+        flag.end()  # later requests are refused
         patience = max(_REPEATS, round(_PATIENCE_S / dt_s))
         return SafeStop(way, safe, tolerance, cause, patience=patience, stays=stays)
 
-    for velocity in (0.0, ramps.velocity_per_s, limits.rate):  # each way out has been gone once before it is in a hurry
+    for velocity in (0.0, ramps.velocity_per_s, limits.rate):  # computed once in advance, to warm up
         with suppress(TrajectoryError):
             way(contact.held, velocity)
     gate = Gate(limits, dt_s)
@@ -163,7 +163,7 @@ def control_loop(
         watch = MotionWatch(settings.plausibility, span, sensor.upper_deg - sensor.lower_deg, closed_loop)
     now = clock.now_ns()
     intake = Intake(sensor, now, watch)
-    with suppress(Exception):  # what nobody can judge is judged in the loop, which stops then
+    with suppress(Exception):  # an error here occurs in the loop again, which then stops
         intake.judge([contact.seen_at(now)], now, math.nan)
     return ControlLoop(clock, transport, intake, gate, anchor, dt_s, samples, to_safe, flag, sensor.dead_after_s)
 
@@ -227,15 +227,15 @@ def first_contact(settings: BenchSettings, transport: Transport, clock: Clock, f
 
 
 _GREET_NS = 100_000_000
-_ENOUGH = 3  # plausible angles before anything is believed
+_ENOUGH = 3  # number of plausible angles for a first contact
 
 
 @dataclass(frozen=True)
 class DeviceContact:
     """State of a device that has answered: held command and newest reading."""
 
-    held: float  # the command that it holds, as it says or as `start_command` does
-    newest: Reading  # the loop keeps half a sample's distance from its receipt, and goes by its time of flight
+    held: float  # held command, as reported or by `start_command`
+    newest: Reading  # the loop is timed half a sample after its receipt
 
     @property
     def reports_held(self) -> bool:
@@ -310,7 +310,7 @@ def _start(settings: BenchSettings, held: float) -> float:
     if wanted is not None and abs(held - wanted) > 1e-3 * (settings.limits.upper - settings.limits.lower):
         raise ConfigError(f"{settings.name}: the device holds command {held:.6g}, expected start_command {wanted:.6g}")
     low, high = settings.limits.lower, settings.limits.upper
-    slack = 1e-9 * (high - low)  # of a conversion of units
+    slack = 1e-9 * (high - low)  # rounding of a unit conversion
     if not low - slack <= held <= high + slack:
         raise ConfigError(
             f"start: the device holds command {held:.6g}, expected one within {low} to {high}; move it there by hand "

@@ -128,7 +128,7 @@ def _fault_ns(case: FaultCase, played: Played, received: Sequence[tuple[float, f
 
 
 def _safe_s(case: FaultCase, played: Played, rows: Rows, received: Sequence[tuple[float, float]]) -> float:
-    """Time from the fault until the device holds the safe command for good; none for one that is gone."""
+    """Time from the fault until the device holds the safe command permanently; NaN for a killed device."""
     if case.expected in ("goes on", "refuses") or case.device_gone or not received:
         return math.nan
     moving = [row[0] for row in rows if abs(row[3] - SAFE) > _CLOSE]

@@ -57,7 +57,7 @@ def scores(
     delay_s: float,
     lag_s: float,
 ) -> dict[str, float]:
-    """Figures of one controller over all motions; only what comes after the approach counts, but for limits and stops.
+    """Figures of one controller over all motions; only samples after the approach count, except for limits and stops.
 
     `rmse_deg` is the root of the mean over motions of the mean square true error, `rmse_deg.MOTION` that of one.
     `hold_samples` are those of holds that have settled, until the command may prepare the next move, which is the delay

@@ -110,11 +110,11 @@ class Clock:
         self.interrupted = False
 
     def measure(self, jobs: Sequence[TimedCall], threads: int = 1) -> Mapping[str, Times]:
-        """Times by name; after Ctrl-C those of the jobs that have run by then.
+        """Measure the times by name; after Ctrl-C those of the jobs run so far.
 
-        Every job is called before it counts: to compile and warm up, and to see how long it takes. The order
-        moves on by one from turn to turn. The first call of a burst pays for the caches that the job before has filled
-        and does not count; a job too long for bursts counts always.
+        Every job is called once before: to compile, to warm up, and to estimate its duration. The order is rotated by
+        one from turn to turn. The first call of a burst is not counted, since it reloads the caches after another job;
+        a job too long for bursts is always counted.
 
         Args:
             threads: of BLAS and OpenMP in this process.

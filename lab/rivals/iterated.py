@@ -63,7 +63,7 @@ class Frame:
     y_scale: float
 
     def to_units(self, lines: Vec) -> Vec:
-        """Lines (m_lo, m_up, c_lo, c_up) of normalised signals in deg/cmd and cmd: the same lines through 0, 0."""
+        """Lines (m_lo, m_up, c_lo, c_up) of normalised signals, converted to deg/cmd and cmd."""
         slopes = lines[:2] * self.y_scale / self.u_scale
         return np.concatenate([slopes, self.y / slopes - self.u + lines[2:] * self.u_scale])
 

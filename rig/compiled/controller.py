@@ -40,9 +40,9 @@ from ..transports.transport import Transport
 # In the order of the header's HYSTMPC_MPC ... HYSTMPC_STOP.
 _SOURCES = (Source.MPC, Source.CONTROLLER, Source.SHIFTED_PLAN, Source.INVERSE, Source.HOLD, Source.STOP)
 _FEEDBACK = 1
-_CHECKED, _SAME = 24, 1e-6  # steps in which the C is compared with the Python; by how much they may differ [mm or bar]
+_CHECKED, _SAME = 24, 1e-6  # compared steps; tolerance [mm or bar]
 _SWING_DEG = 4.0
-_ODD = {7: np.nan, 8: np.nan, 15: 1e9}  # angles of the check that no device measures [deg]
+_ODD = {7: np.nan, 8: np.nan, 15: 1e9}  # invalid angles in the check [deg]
 
 # By the header's HYSTMPC_OK ... HYSTMPC_NO_TIME; `{...}` are filled in.
 _REASONS = (
@@ -129,7 +129,7 @@ class CompiledController(PlannersController):
         self._python, self._export, self._library = python, export, library
         self._loaded = LoadedController(export, library)
         self._learns = hasattr(self._loaded.view, "learning")
-        self._newest = b""  # what the loaded one remembers
+        self._newest = b""  # memory of the loaded controller
         self._unusable = np.full(self.horizon, np.nan)
         self.refusal = ""
         self.loop: CompiledLoop | None = None
@@ -304,9 +304,9 @@ _ENDINGS = (
     "controller",
     "command not sent",
 )
-_WATCH_S = 0.002  # between two looks at what was done in C
-_BEHIND_S = 0.05  # how far Python may be behind
-_AHEAD_S, _MOST_AHEAD = 0.25, 2048  # how far the reference is known ahead: time, samples beyond the preview
+_WATCH_S = 0.002  # polling period of the samples done in C
+_BEHIND_S = 0.05  # greatest delay of Python
+_AHEAD_S, _MOST_AHEAD = 0.25, 2048  # extent of the known reference: time, samples beyond the preview
 
 
 def available() -> bool:
@@ -336,7 +336,7 @@ class CompiledLoop:
 
     def __init__(self, library: Path, controller: int, preview: int, fixed: Mapping[str, float | int]) -> None:
         kind = structs(source(), _SIZES, ctypes.c_double)["hystmpc_loop"]
-        functions = ctypes.CDLL(str(library))  # leaves the interpreter to others while it runs
+        functions = ctypes.CDLL(str(library))  # its calls release the interpreter's lock
         self._run, self._written, size = (functions[f"hystmpc_loop_{name}"] for name in ("run", "written", "bytes"))
         size.restype, self._written.restype = ctypes.c_ulong, ctypes.c_int64
         self._run.argtypes, self._written.argtypes = [ctypes.c_void_p] * 3, [ctypes.c_void_p]
@@ -383,7 +383,7 @@ class CompiledLoop:
                     self._feed(wanted)
                 yield from self._new()
         finally:
-            self.interrupt()  # where nobody looks at the samples any more
+            self.interrupt()  # the samples are no longer consumed
             run.join()
 
     def parts(self, intake: Intake, gate: Gate, transport: Transport) -> dict[str, Any] | None:

@@ -20,20 +20,20 @@ from ..transports.udp import is_loopback
 from .desk import MOST_BYTES, Controls
 from .state import LiveState, LiveView
 
-_MOST_CLIENTS = 200  # the oldest that is no stream gives way to the next one
+_MOST_CLIENTS = 200  # beyond it, the oldest connection without a stream is closed
 _LEAST_CLIENTS = 16
-_BACKLOG = 1024  # connections that the system keeps until they are looked at; one more would try again after a second
-_AT_ONCE = 64  # connections that are looked at before the requests of those that are there already
+_BACKLOG = 1024  # pending connections in the system; a further one would retry after a second
+_AT_ONCE = 64  # connections accepted in a row before requests are served
 _MOST_STREAMS = 12
-_MOST_REQUESTS = 8  # that carry the token and wait for the run; an e-stop is not counted
+_MOST_REQUESTS = 8  # authorised requests in progress, without e-stops
 _LARGEST_HEAD = 16_384  # bytes of a request before its body
-_ASKS_S = 1.5  # within which a request has to be there
-_TAKES_S = 5.0  # within which an answer has to be taken, and a message of a stream
-_SILENCE_S = 2.0  # after which an idle stream gets a comment, so that a client that left is noticed
+_ASKS_S = 1.5  # time limit for the arrival of a request
+_TAKES_S = 5.0  # time limit for the transfer of an answer or message
+_SILENCE_S = 2.0  # idle time before a comment is sent, which detects lost clients
 _CLOSE_S = 2.0
-_MOST_BEHIND = 65_536  # bytes that may come behind a request; more is no client of the page
-_UNSENT = 65_536  # bytes of a stream that its client has not taken; it gets no further message until it has
-_END = b"event: end\ndata: \n\n"  # else a browser would take the end for a broken connection
+_MOST_BEHIND = 65_536  # greatest number of bytes after a request
+_UNSENT = 65_536  # backlog [bytes] above which a stream gets no further message
+_END = b"event: end\ndata: \n\n"  # otherwise a browser assumes a broken connection
 _SECURE = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
@@ -57,8 +57,8 @@ class PageServer:
         self.page, self.controls = page, controls
         self.latest = b""
         self.allowed: frozenset[str] = frozenset()
-        self.waiting = 0  # requests that a thread has handed to the run
-        self.clients: dict[_Client, None] = {}  # in the order in which they came
+        self.waiting = 0  # requests passed to the run by a thread
+        self.clients: dict[_Client, None] = {}  # in the order of their arrival
         self.streams: set[_Client] = set()
         self._loop = asyncio.new_event_loop()
         self._ended = asyncio.Event()
@@ -93,7 +93,7 @@ class PageServer:
         self.clients[client] = None
         if len(self.clients) > _most_clients():
             oldest = next((one for one in self.clients if one not in self.streams and not one.asks), client)
-            self.leave(oldest)  # now: it is told later, and the next one that comes needs another place
+            self.leave(oldest)  # at once, since its callback comes later
             oldest.abort()
 
     def leave(self, client: _Client) -> None:
@@ -136,9 +136,9 @@ class _Client(asyncio.Protocol):
         self._got = bytearray()
         self._head: tuple[str, str, dict[str, str]] | None = None  # method, path, headers by name in lower case
         self._length = 0
-        self._behind = 0  # bytes that came after it
+        self._behind = 0  # bytes after the request
         self._answered = False
-        self.asks = False  # the run has been asked
+        self.asks = False  # whether the request was passed to the run
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
@@ -210,7 +210,7 @@ class _Client(asyncio.Protocol):
         server = self._server
         if method == "GET":
             if server.allowed and headers.get("host", "").lower() not in server.allowed:
-                # a foreign page that has its own name point here must not read along
+                # a foreign page whose name resolves to this machine must not read the stream
                 self.answer(HTTPStatus.MISDIRECTED_REQUEST, "unknown host")
             elif path == "/":
                 self._answer(HTTPStatus.OK, "text/html; charset=utf-8", server.page)

@@ -106,7 +106,7 @@ def open_recorder_process(
     report: bool = True,
     desk: Desk | None = None,
 ) -> RecorderProcess:
-    """Start a recording, and the views, in a process of their own. Arguments as of `open_recording`.
+    """Start a recording, and the views, in a separate process; arguments as of `open_recording`.
 
     Writing and drawing are Python code that holds the interpreter's lock for milliseconds at a time, up to a whole
     period of a loop at 250 Hz. Here the control process only packs tuples and writes them to a pipe, and the log is

@@ -12,12 +12,12 @@ from hystmpc.ctrl.command import CommandLimits
 from .intake import Observation
 
 _S = 1e-9
-_SHORTEST = 0.1  # of a sample: time that two commands count as apart at least
-_ROUNDING = 1e-9  # of the range: a conversion of units
-_STILL_NS = 80_000_000  # how long the held command has to stand still before it is believed
-_STILL = 0.25  # of the tolerance: how far it may wander meanwhile
-_LONGEST_NS = 60_000_000_000  # how long a device may go on to move by itself
-_IMPLAUSIBLE_NS = 2_000_000_000  # how long it may say that it holds what nothing has led it to
+_SHORTEST = 0.1  # least counted time between two commands, as a share of a sample
+_ROUNDING = 1e-9  # rounding of a unit conversion, as a share of the range
+_STILL_NS = 80_000_000  # required rest of the held command before it is accepted
+_STILL = 0.25  # permitted change during that time, as a share of the tolerance
+_LONGEST_NS = 60_000_000_000  # longest motion of a device by itself
+_IMPLAUSIBLE_NS = 2_000_000_000  # longest report of an inexplicable held command
 
 
 @final
@@ -167,7 +167,7 @@ class Anchor:
         recent = self._recent
         recent.append((boot_ns, held))
         while len(recent) > 2 and recent[1][0] <= boot_ns - _STILL_NS:
-            recent.popleft()  # the one that was told when the window begins stays
+            recent.popleft()  # the report in force at the start of the window is kept
         values = [u for _, u in recent]
         still = max(values) - min(values) <= _STILL * self._tolerance
         return held if still and boot_ns - recent[0][0] >= _STILL_NS else math.nan

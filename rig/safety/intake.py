@@ -19,10 +19,10 @@ from .plausibility import DriveFollowing, MotionWatch
 OUTSIDE = "out-of-range"
 
 _S = 1e-9
-_DRIFT = 500e-6  # of the time passed: how fast the clocks of two machines drift apart at most
-_RATE_S = 0.02  # least time over which the rate of the angle is judged: noise between two readings is no motion
-_MEMORY_S = 10.0  # over which the times without an angle add up
-_NOISY = 5  # turns of the angle that show noise, with a fifth as many repetitions at most
+_DRIFT = 500e-6  # greatest relative drift of two machines' clocks
+_RATE_S = 0.02  # shortest interval for the angle's rate, since noise between two readings is no motion
+_MEMORY_S = 10.0  # window of the sum of times without an angle
+_NOISY = 5  # reversals that indicate noise, with at most a fifth as many repetitions
 
 
 class SensorSettings(Settings):
@@ -120,11 +120,11 @@ class Observation:
             judged by it: an implausible angle may be true.
     """
 
-    angle_deg: float  # the newest accepted angle, NaN where none is new
+    angle_deg: float  # newest accepted angle, NaN without a new one
     faults: tuple[str, ...]  # names of rejected or missing measurements
     dead: str  # cause of a stop, empty without one
     held: float = math.nan
-    follows: bool = True  # whether the device holds the commands sent lately; True where it does not report
+    follows: bool = True  # whether the device holds recent commands; True without reports
     frames: tuple[ObservedFrame, ...] = ()
     age_s: float = 0.0  # of `angle_deg`: 0 of a continuous sensor, which shows the present [s]
     shown_deg: float = math.nan
@@ -196,11 +196,11 @@ class Intake:
         self._settings, self._order, self._watch = settings, Order(), watch
         self._accepted_ns, self._angle = start_ns, math.nan
         self._rated: tuple[int, float] | None = None  # the accepted angle from which the rate counts
-        self._flight_ns: dict[bool, tuple[float, int]] = {}  # least time of flight, and when it was looked at
+        self._flight_ns: dict[bool, tuple[float, int]] = {}  # least time of flight, and time of its last update
         self._repeats, self._travel, self._command = 0, 0.0, math.nan
         self._slope, self._turns = 0.0, 0  # of the angle
         self._equal = self._same = 0  # its repetitions, up to the last change and since
-        longest_s = settings.silence_s  # a camera shows nothing for longer than an angle may be old
+        longest_s = settings.silence_s  # frames are farther apart than the age limit of an angle
         self._absences = DropoutMonitor(settings.age_limit_s if settings.kind == "continuous" else longest_s, longest_s)
         self._shown_deg = math.nan
         self._followed = DriveFollowing(settings.held_tolerance, settings.dead_after_s)

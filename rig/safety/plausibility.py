@@ -14,7 +14,7 @@ _S = 1e-9
 SMOOTH_S = 0.2
 """Time constant over which noise of the angle is averaged [s]."""
 
-_ONWARD_SHARE, _REVERSED_SHARE = 0.3, 0.5  # of the command's range: travel without motion, where nothing is said
+_ONWARD_SHARE, _REVERSED_SHARE = 0.3, 0.5  # default travel without motion, as a share of the command's range
 _ANGLE_SHARE = 0.025  # of the sensor's plausible range
 
 
@@ -80,7 +80,7 @@ class MotionWatch:
         self._travel, self._onward = settings.travel_of(command_range), settings.travel_of(command_range, True)
         self._moves = settings.moves_of(angle_range_deg)
         self._opposes = self._travel if rises and settings.watch_direction else math.inf
-        self._gain = math.inf if rises else 0.0  # its sign is that of the angle's change by the command, as far as seen
+        self._gain = math.inf if rises else 0.0  # its sign is that of the observed change of angle by command
         self._smooth = self._lagged = math.nan
         self._seen_ns = 0
         self._low = self._high = self._least = self._most = math.nan  # of angle and v since the last motion
@@ -260,6 +260,6 @@ class DriveFollowing:
         self._lagged = _followed(self._lagged, sent, elapsed_ns / self._window_ns)
         window.append((now_ns, sent))
         while len(window) > 1 and window[1][0] <= now_ns - self._window_ns:
-            window.popleft()  # the one that was in force when the window begins stays
+            window.popleft()  # the command in force at the start of the window is kept
         commands = [self._lagged, *(u for _, u in window)]
         return min(commands), max(commands)
