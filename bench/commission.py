@@ -146,7 +146,6 @@ def commission_logs(
     """Commission from recordings alone: model, controller and report, without a verification on the device.
 
     Args:
-        logs: files or folders.
         settings: of the bench, for limits, rate and safe command; what the recordings show where left out.
 
     Raises:

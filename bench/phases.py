@@ -104,7 +104,6 @@ class Climb(Phase):
 
     Args:
         bench: rate, ramps and hard limits.
-        end: limit of the command.
         angle_limits: of the tip [deg].
         steps: into which the way is divided.
         widen: whether a tip that rests beyond its limits at the start widens them; otherwise the climb ends there.

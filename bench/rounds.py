@@ -45,7 +45,6 @@ class RoundVerdict:
         probability: of the first effect; NaN without one.
         closed_share: of the structural gap on the final trials.
         retuned_deg, left_deg: RMSE on the final trials without and with the effects [deg].
-        trials: number of diagnosed trials.
         flips: whether other splits of the trials give another verdict.
         next: motions of the next round; None where the investigation ends.
         ended, why: reason of the end, and the same in one sentence; empty where it goes on.
@@ -99,7 +98,6 @@ class Investigated:
 
     Attributes:
         ended, why: reason of the end, and the same in one sentence.
-        model: simulator that was judged.
         fixed: corrected by the effects of the diagnosis; None where there is none.
         device_s, budget_s: device time used, interrupted motions included, and allowed [s].
     """
@@ -162,8 +160,6 @@ def judge_round(
     """Diagnose all trials, write the diagnosis, and plan the next round where one follows.
 
     Args:
-        files: recordings in their order.
-        before: verdicts of earlier rounds.
         left_s: device time left [s].
 
     Raises:

@@ -96,7 +96,6 @@ class Stages:
 
         Args:
             name: of its folder under `root`.
-            kind: dataclass of the result.
             do: executes the stage in its folder; where it raises, the folder keeps its files.
             computing_s, device_s: expected computing and device time, for the progress bar [s].
 

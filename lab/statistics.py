@@ -100,11 +100,7 @@ def pairwise(errors: Mapping[str, ArrayLike]) -> tuple[SignedRank, ...]:
 
 
 def compared(errors: Mapping[str, ArrayLike], pairs: Sequence[tuple[str, str]]) -> tuple[SignedRank, ...]:
-    """Tests of some pairs, row against column, Holm-corrected as one family.
-
-    Args:
-        errors: as for `pairwise`.
-    """
+    """Tests of some pairs, row against column, Holm-corrected as one family; `errors` as for `pairwise`."""
     tests = [signed_rank(errors[row], errors[column]) for row, column in pairs]
     corrected = holm([test[3] for test in tests])
     return tuple(

@@ -193,11 +193,7 @@ def wall_minutes(costs: Mapping[str, float], workers: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Outcome(Generic[S, F]):
-    """Study with the results of all its jobs.
-
-    Attributes:
-        drawn: what was drawn, see `Study.draw`.
-    """
+    """Study with the results of all its jobs."""
 
     settings: S
     results: tuple[F, ...]
@@ -231,7 +227,6 @@ class Study(Generic[S, J, F]):
         name: as in `config.yaml`.
         form: name and version of the format of its result files.
         settings: makes its settings from changes of the defaults, see `StudySettings.of`.
-        result: type of its results.
         jobs: all jobs, from the settings and what was drawn; each has a `key`, and a `stage` where there are stages.
         run: fields of a job's result, from job, settings and folder of the run.
         inputs: all that the result depends on, as JSON, from the same.
@@ -242,7 +237,6 @@ class Study(Generic[S, J, F]):
         data: content of `tables/NAME.json`; None for no such file.
         summary: table that the command line shows at the end, and its digits; None for none.
         stages: of the jobs, in their order; each may need files that the stages before it leave.
-        outcome: type of its outcome.
     """
 
     name: str
@@ -319,7 +313,6 @@ class BegunStudy(Generic[S, J, F]):
     """Study whose folder is open, with jobs still to be executed.
 
     Attributes:
-        jobs: all of them.
         costs: expected processor time of the jobs that are not done yet, by key [s].
     """
 
@@ -339,7 +332,6 @@ class BegunStudy(Generic[S, J, F]):
 
         Args:
             workers: processes, each on one thread; with 1 the jobs run in this process.
-            progress: see `ResultFiles.complete`.
 
         Returns:
             The outcome, of the study's type.

@@ -29,7 +29,6 @@ class Floor:
     """Lateness statistics of the sleeping loop.
 
     Attributes:
-        wake_ups: number of wake-ups.
         late: number of those later than one period.
         p99_s, greatest_s: lateness [s]; NaN without any wake-up.
     """

@@ -61,7 +61,6 @@ class Mutant:
     Attributes:
         file: path relative to the root of the checkout.
         old: text that occurs exactly once in the file.
-        new: replacement of that text.
         tests: files or folders of tests that have to fail, relative to the root of the checkout.
     """
 

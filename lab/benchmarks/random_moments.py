@@ -126,7 +126,6 @@ class Lane:
     """Device process and its relay process.
 
     Attributes:
-        folder: of `device.csv`.
         orders: a byte written there stalls the network.
     """
 

@@ -86,7 +86,6 @@ class Soaked:
         beside_stall: missed samples at whose time the sleeper was late, too.
         taken_s: processor time that a host took from this machine during the run [s]; NaN if unknown.
         refused: scheduling settings that the system did not permit.
-        in_c: samples executed wholly in C.
         left_c: number of returns to Python by reason.
     """
 

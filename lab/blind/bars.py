@@ -61,11 +61,7 @@ def resampled(cases: Sequence[ScoredCase], measure: Callable[[Sequence[ScoredCas
 
 @dataclass(frozen=True)
 class Confusion:
-    """Confusion matrix: true class by answer.
-
-    Attributes:
-        counts: cases (R, C).
-    """
+    """Confusion matrix (R, C): number of cases by true class and answer."""
 
     truths: tuple[str, ...]
     guesses: tuple[str, ...]

@@ -191,7 +191,6 @@ class Wish:
     Attributes:
         label: of the effect; one of its generators is drawn.
         ratio: gap after retuning, in floors.
-        main: a cause, or a smaller contaminant.
         pick: which of the label's generators, counted round; drawn where left out.
         shape: numbers of the generator; drawn where left out.
     """

@@ -129,7 +129,6 @@ def investigate_blind(
     An investigation has the case's simulator and its device, none of its trials. Complete investigations are kept.
 
     Args:
-        folder: made by `make_blind`.
         minutes: device time of each at most [min].
         least: smallest gap of an investigated case, in floors.
 

@@ -149,7 +149,6 @@ class ScoredCase:
     Attributes:
         followed: the diagnosis after the proposed motion was recorded, if any.
         oracle: closed share of a diagnosis that was given the classes, if any.
-        seconds: duration of the diagnosis, if known.
         again: closed share of the causes in another session of the device, if any.
         orders: names in each other order of the files, if any.
     """

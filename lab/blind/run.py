@@ -134,7 +134,6 @@ def run_blind(
     with them; last, unless left out, the oracle: single effects with a library of nothing but the true class.
 
     Args:
-        folder: made by `make_blind`.
         follow_up: record and diagnose again where a next motion is proposed.
 
     Returns:
@@ -164,7 +163,6 @@ def run_orders(
     """Diagnose some cases in random orders of their files, the order of recording unknown; resumable.
 
     Args:
-        folder: made by `make_blind`.
         cases: how many; the first ones, which are drawn at random.
 
     Returns:

@@ -43,7 +43,6 @@ class Score:
     """Content of the report.
 
     Attributes:
-        bars, metrics: see `bars` and `metrics`.
         confusion: of all cases whose cause has a name to ask for: not of the aliased ones.
         groups: share of right verdicts, by table and row.
         beside: top-1 on single effects of the diagnosis and of simpler rules.

@@ -87,11 +87,7 @@ def exact_controller(device: DrawnDevice, settings: LinearisedMpcSettings) -> Gu
 
 
 class Rehearsed(Controller[GuardedState[Any]]):
-    """Controller that starts from a recording instead of a single measurement.
-
-    Args:
-        commands, angles: see `GuardedController.replay`.
-    """
+    """Controller that starts from a recording instead of a single measurement."""
 
     def __init__(self, controller: GuardedController[Any], commands: Vec, angles: Vec) -> None:
         self._controller, self._commands, self._angles = controller, commands, angles

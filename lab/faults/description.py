@@ -143,7 +143,6 @@ class DeviceFault:
         at_s: when it begins, counted from the first command of a connection [s].
         motion: that connection, or a later one: a commissioning makes one for each motion, all others a single one.
         lasts_s: how long it lasts [s].
-        size, period_s: see `FaultKind`.
     """
 
     kind: FaultKind
@@ -164,7 +163,6 @@ class DeviceSpec:
         noise_deg, quantum_deg: of the sensor [deg].
         stream_hz: readings a second, independent of the loop.
         flight_s: time of flight of a reading [s].
-        tells: whether it reports its held command.
         sessions: whether it accepts commands only after a greeting, and a new greeting after an action of its watchdog;
             else it accepts all commands.
         watchdog_s, return_rate: silence after which it returns to rest, and the rate of the return [mm/s].
@@ -195,7 +193,6 @@ class Row:
         received: accepted command, NaN in a row without one.
         before: held command right before [mm].
         held: held command, or the target of the drive [mm].
-        told: reported held command.
         x_mm: position at the tip's end of the drive, after lag and dead time.
         angle_deg, shown_deg: angle of the tip, and last one of the sensor.
         age_s: of the newest reading that was read, without the initial time of flight [s].

@@ -44,8 +44,6 @@ class DeviceCase:
     """Device with its use in the campaign.
 
     Attributes:
-        healthy: whether it must not be stopped.
-        movers: programs that move it.
         bench: changes of the bench file, nested: those its user would have to write.
         law: kind of the controller; empty for each in turn.
     """
@@ -255,11 +253,7 @@ def played(play: DevicePlay, folder: Path) -> DeviceVerdict:
 
 
 def played_all(plays: Sequence[DevicePlay], folder: Path, jobs: int = 1) -> Iterator[DeviceVerdict]:
-    """Verdicts of all plays in order, each play in a separate folder.
-
-    Args:
-        jobs: processes.
-    """
+    """Verdicts of all plays in order, each in a separate folder, by `jobs` processes."""
     places = [folder / f"{k:03d}_{play.mover}" for k, play in enumerate(plays)]
     if jobs == 1:
         yield from map(played, plays, places)

@@ -76,11 +76,7 @@ class DeviceReading:
 
 @final
 class HostileDevice:
-    """Simulated device, computed up to the time of each access, over several consecutive connections.
-
-    Args:
-        spec: what it is.
-    """
+    """Simulated device, computed up to the time of each access, over several consecutive connections."""
 
     def __init__(self, spec: DeviceSpec) -> None:
         self.spec, self.rows = spec, list[Row]()

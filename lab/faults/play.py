@@ -172,11 +172,7 @@ class Played:
 
 
 def play(case: FaultCase, folder: Path, link: Link = Link(), program: Sequence[str] = PROGRAM) -> Played:
-    """Play one case in a new folder.
-
-    Args:
-        program: the command line that starts `hystmpc`.
-    """
+    """Play one case in a new folder."""
     folder.mkdir(parents=True)
     stage = _Stage(case, folder, link, program)
     try:

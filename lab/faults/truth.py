@@ -66,7 +66,6 @@ class Ending:
     Attributes:
         how: regular end, stopped, ended early, refused with a reason, or an exception that is not the package's own.
         words: the cause, in the words of the program.
-        latched: whether the stop is latched.
         in_c: samples executed wholly in C; -1 where none was required.
     """
 
@@ -81,12 +80,10 @@ class DeviceVerdict:
     """One row of the table.
 
     Attributes:
-        healthy: whether it must not be stopped.
         commands: accepted by the device; `beyond` of them beyond limits or rate.
         shows_s: first visible effect of a fault, on the device's clock; NaN without one [s].
         moved_s: time from then to the last motion away from the safe command; 0 without one [s].
         past_deg: overshoot of the tip beyond the angle limits, without the unavoidable part [deg].
-        failures: violated requirements.
     """
 
     name: str

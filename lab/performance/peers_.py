@@ -82,7 +82,6 @@ class SingleShooting:
 
     Args:
         function: step (state, u) -> (theta, next state).
-        horizon: H.
         dt: sample time [s].
     """
 
@@ -198,8 +197,6 @@ class TorchMppi:
     [LSTM state, theta, u, du]. It has only box limits; the rate limit is applied in the dynamics.
 
     Args:
-        samples: N.
-        horizon: H.
         dt: sample time [s].
         sigma: standard deviation of the perturbations [command unit].
     """

@@ -31,7 +31,6 @@ class Comparison:
     Attributes:
         goal: of the ratio: at least for `FASTER`, at most for the others; None for none.
         state: `measured`, `not installed`, `interrupted`.
-        ratio: None unless measured.
         times, other_times: of both sides; the limit has a duration only.
         limit_s: duration at the limit [s].
     """

@@ -56,7 +56,6 @@ class Effort:
     Attributes:
         rounds: turns; in each, every job runs once or, where it is short, in a burst.
         burst_s: time of a burst [s].
-        burst_most: most calls in a burst.
         longest_s: a section ends after this time even if turns are left, as on a machine that is busy otherwise [s].
 
     Raises:

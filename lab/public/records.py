@@ -88,7 +88,6 @@ class Score:
     """Errors of a free run over one record, in the unit of the data set.
 
     Attributes:
-        rmse: root mean square error.
         spread: the same less the mean error.
         span: range of the measured output where it counts.
     """
@@ -105,7 +104,6 @@ class PublicResult(Result):
     Attributes:
         fit_s: time of the identification [s].
         parameters: values of its readable form, with their labels; nothing of a network.
-        scores: by test record.
     """
 
     job: PublicJob
@@ -121,8 +119,6 @@ class ScoredRecord:
     Attributes:
         start: output from which a free run begins.
         periodic: one period of a steady state: a model runs over it several times, and the last time counts.
-        simulated: whether it was simulated here.
-        first: first sample that counts.
         height: by which the record was divided, so that the training could be; errors are multiplied by it.
     """
 

@@ -51,7 +51,6 @@ class Region:
     """Search region over the free parameters (Q,).
 
     Attributes:
-        lower, upper: ends of the box.
         first_lower, first_upper: ends of the part of it in which the search begins.
         start: a point to begin at, for searches that begin at one.
     """

@@ -34,7 +34,6 @@ class FeedForwardNet(Network):
     the contract has at least one entry.
 
     Args:
-        hidden: widths of the layers.
         history: n.
         rest: scaled input with which the buffer is filled at the start (S2 pads with u = 0 or theta = 30 deg).
     """

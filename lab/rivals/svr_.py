@@ -97,7 +97,6 @@ class SvrFit:
         choice: the combination with the least error on what was left out.
         judged: that error, root mean square, of every combination compared [unit of the output].
         rmse: of the final model on its own samples [unit of the output].
-        samples: samples it was fitted to.
         interrupted: stopped by the user; the best choice so far.
     """
 
@@ -135,7 +134,6 @@ def fit_svr(
 
     Args:
         trials: uniformly sampled at one rate, in one unit; swapped ones give an inverse map.
-        settings: see `SvrSettings`.
         skip_first_flexure: leave out each trial up to the first reversal of its command.
         progress: called with the fits so far and the least error; KeyboardInterrupt keeps the best choice.
     """

@@ -117,7 +117,6 @@ class CompiledController(PlannersController):
     Args:
         python: the same controller in Python; it judges whether the start makes sense.
         library: the compiled export, with the loop where the system supports it.
-        fixed: constants of the loop, see `CompiledLoop`.
 
     Attributes:
         loop: steps this controller in C; None on a system without its functions.
@@ -331,7 +330,6 @@ class CompiledLoop:
         library: the controller's, compiled with `source()`.
         controller: address of the struct that is stepped.
         preview: reference samples of a step.
-        fixed: constant fields of the struct.
     """
 
     def __init__(self, library: Path, controller: int, preview: int, fixed: Mapping[str, float | int]) -> None:

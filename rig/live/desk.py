@@ -134,7 +134,6 @@ class Controls:
     its name resolve to this machine, but not a number, so only numbers and this machine's names are accepted.
 
     Args:
-        ask: passes a request to the run.
         host: the name of the page's address, where it is one.
     """
 

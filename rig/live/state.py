@@ -32,7 +32,6 @@ class LiveState:
         t, reference, angle, command: the last 20 s, decimated, (P,); not-a-number without an angle.
         rms_deg, rate_hz: tracking error and real rate of the loop over these 20 s.
         late, total: histograms of lateness and of the execution time of a sample, since the start.
-        missed: deadlines missed since the start.
         faults, fault_s: samples with each fault since the start, and the time of the last one [s].
         notes: messages from elsewhere, such as an end of the recording.
 

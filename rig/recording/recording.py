@@ -75,8 +75,6 @@ def open_recording(
     For fast loops see `open_recorder_process`, whose process leaves the interpreter to the control thread.
 
     Args:
-        folder: a new or empty folder.
-        config: resolved settings of the run.
         rate_hz: rate of the loop [Hz].
         tell: called with one line when recording has to stop; a warning of the `logging` module where None.
         report: whether to write report.html at the end.
@@ -95,7 +93,6 @@ class Recording(ThreadedSink):
     keep the flushed samples, the user gets one message, and the run continues.
 
     Args:
-        tell: see `open_recording`.
         flushed: called after every flush with the number of samples on the disk.
 
     Raises:

@@ -99,9 +99,6 @@ class GuardedTransport(Transport):
     Readings are fetched several at a time, since a thread's answer takes longer than most drivers do. Those of a late
     call are kept; after them the wire is left to a command before it is read again.
 
-    Args:
-        make: makes the transport.
-
     Raises:
         ConfigError: if it cannot be made within 10 s, or lacks methods of a transport.
     """

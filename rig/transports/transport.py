@@ -100,11 +100,7 @@ class Transport(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Outgoing:
-    """Measurement in the wire's units, as sent by a device.
-
-    Attributes:
-        angle, held: raw angle and held command.
-    """
+    """Measurement sent by a device: raw angle and held command in the wire's units."""
 
     angle: float
     held: float
