@@ -33,7 +33,7 @@ from hystmpc.sim.plants.simulated import SimulatedPlant
 RESIDENT_MB, GROWTH_MB, IMPORT_S, FIRST_COMMAND_S = 300.0, 5.0, 1.0, 3.0
 _TARGETS_DEG = (35.0, 75.0)
 _EVERY_S, _WATCHED_S = 10.0, 1.0  # between two looks at the machine, and how long a look takes
-_WARM = 100  # steps before the clock starts, and before memory is first looked at
+_WARM = 100  # steps before the first measurement of time and memory
 _START = """
 import time
 begin = time.perf_counter()
@@ -116,7 +116,7 @@ def endure(settings: dict[str, Any], rate_hz: float, steps: int, realtime: bool)
                 tip.set_waypoints([float(rng.uniform(*_TARGETS_DEG))], [float(rng.uniform(0.0, 1.0))])
             if k == 0:
                 gc.collect()
-                gc.freeze()  # as the loop at the bench does: what lives by now is never looked through again
+                gc.freeze()  # as the loop at the bench: existing objects are exempt from garbage collection
                 before, due = resident_mb(), time.monotonic()
                 looked = due
             if time.monotonic() - looked > _EVERY_S:
@@ -136,7 +136,7 @@ def endure(settings: dict[str, Any], rate_hz: float, steps: int, realtime: bool)
             due += period
             if realtime and time.monotonic() > due:
                 late += 1
-                due = time.monotonic()  # a miss is counted once, the steps after it are on time again
+                due = time.monotonic()  # a miss is counted once; later steps are on time
     misses = late if realtime else int(np.sum(took > period))
     return _summary(rate_hz, took, misses, (stood, watched * _WATCHED_S), before, sources)
 

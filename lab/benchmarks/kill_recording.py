@@ -82,7 +82,7 @@ def kill_once(folder: Path, way: str, rate_hz: float, at_s: float) -> Outcome:
     said, child = _started(folder, way, rate_hz)
     with os.fdopen(said) as lines:
         try:
-            promised = int(lines.readline())  # the first line says that it has begun
+            promised = int(lines.readline())  # the first line marks the start
             time.sleep(at_s)
         finally:
             if way == CONTROLLER:

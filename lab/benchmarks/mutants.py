@@ -180,7 +180,7 @@ class Copy:
         before = file.read_bytes()
         file.write_text(mutated(mutant, before.decode("utf-8")), encoding="utf-8")
         stale = list((file.parent / "__pycache__").glob(f"{file.stem}.*.pyc"))
-        for compiled in stale:  # it would pass for the new text where that has the old length
+        for compiled in stale:  # stale bytecode is reused for a new text of equal length
             compiled.unlink()
         try:
             yield
@@ -258,7 +258,7 @@ def main() -> int:
     if not chosen:
         console.print(f"error: --only: got {', '.join(options.only)}, expected a part of a mutant's name or file")
         return 2
-    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # the copies go, whoever ends it
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # the copies are removed at any end
     try:
         results = run(chosen, options.jobs, options.timeout, console)
     except NotApplicableError as error:

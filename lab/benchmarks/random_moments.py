@@ -48,7 +48,7 @@ from hystmpc_lab.faults.judge import rise
 from hystmpc_lab.faults.play import device_log
 
 KINDS = ("kill", "pause", "stall")
-_SPARE_S = 0.1  # between a command's way to the device and that to the log
+_SPARE_S = 0.1  # tolerance between a command's arrival at the device and in the log
 _ROUNDING = 1e-6
 PAUSE_S, STALL_S, MOTION_S = 3.0, 1.0, 3.0
 _PATIENCE_S = 60.0

@@ -69,7 +69,7 @@ _PLANT = {
     "mismatch": {"prandtl_ishlinskii.alpha": 1.2},
 }
 _BESIDE_S = 0.02  # between a miss and a stall that explains it
-_PRIORITY, _DEVICE_PRIORITY = 80, 80  # of SCHED_FIFO: the device is no less than what looks at the samples
+_PRIORITY, _DEVICE_PRIORITY = 80, 80  # priorities of SCHED_FIFO; the device's is not below the observer's
 
 
 @dataclass(frozen=True)
@@ -377,7 +377,7 @@ def main() -> int:
                     given.faster,
                 )
                 rows += soaks(given.out or Path(scratch), plan, given.transport or WIRES)
-        except HystmpcError as error:  # what is done by then is told all the same
+        except HystmpcError as error:  # the results so far are still printed
             failure = f"error: {error}"
     if rows:
         _tell(rows, given.json)

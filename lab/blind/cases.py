@@ -380,7 +380,7 @@ def injection_case(logs: Sequence[Trial], number: int, random: np.random.Generat
         suite="injection",
         variant=Path(logs[0].source).parent.name,
         effects=(effect,),
-        separable=False,  # nobody planned these motions
+        separable=False,  # these motions were not planned for separation
         plan="recorded",
         motions=tuple("recorded" for _ in logs),
         floor_deg=fit.rmse_deg,

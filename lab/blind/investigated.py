@@ -38,7 +38,7 @@ NEEDED = 0.5
 """Greatest share of the battery's device time that an investigation should need."""
 
 _BEYOND = 0.25  # of the angles of the case's trials: how far the sensor reads on either side
-_RATE_SHARE = 0.5  # of the device's rate: speed of the ways between motions
+_RATE_SHARE = 0.5  # speed between motions, as a share of the device's rate
 
 
 @final
@@ -154,7 +154,7 @@ def _investigate(job: InvestigationJob) -> tuple[InvestigationJob, bool]:
         write_atomically(job.out / FAILURE, f"{type(made.raised).__name__}: {made.raised}\n")
         return job, False
     battery = sum(run_seconds(settings, len(trial)) for trial in trials)
-    write_atomically(job.out / BATTERY_FILE, json.dumps(battery))  # last: with it the case is done
+    write_atomically(job.out / BATTERY_FILE, json.dumps(battery))  # written last, as the mark of a complete case
     return job, True
 
 

@@ -17,7 +17,7 @@ from hystmpc.trials.types import Vec
 from ..devices.cores import RATE_HZ
 
 _STEPS = 25
-_DONE = 1e-4  # relative change of the loss at which a refit ends
+_DONE = 1e-4  # relative change of the loss that ends a refit
 
 
 @dataclass(frozen=True, eq=False)

@@ -177,7 +177,7 @@ def _drawn(random: np.random.Generator, number: int, family: str, rate_hz: float
 
 def _core(random: np.random.Generator, family: str) -> RodCore | CapstanCore | DahlCore | MuscleCore:
     core = _CORES[family].draw(random)
-    # What a rod relaxes by itself would be a creep that nobody drew.
+    # Relaxation of the rod itself would be an additional creep.
     return replace(core, fast_share=0.0, slow_share=0.0) if isinstance(core, RodCore) else core  # type: ignore[return-value]
 
 

@@ -67,7 +67,7 @@ class ExactInverse(Inverse):
         self._predictor = predictor
 
     def command(self, state: Vec, theta: float, u_last: float) -> float:
-        del u_last  # within a dead band the core stays where it is
+        del u_last  # within a dead band the core does not move
         p, (low, high) = self._predictor.packed, self._predictor.command_range
         crept = p.creep * float(state[p.commands + 2])
         place = kernels.place_for(p, state, float(theta), low, high * (1 + p.creep))

@@ -123,11 +123,11 @@ class Packed(NamedTuple):
     fine: int  # fine steps in a sample
     commands: int  # Q, commands that are kept
     delay: int  # fine steps
-    lag_share: float  # of the way to the command in a fine step, 1 without a lag
+    lag_share: float  # share of the travel to the command in a fine step, 1 without a lag
     frequency: float  # of a second-order servo [rad/s], 0 for none
     damping: float
-    creep: float  # final over instant answer, less 1
-    creep_share: float  # of the way in a fine step
+    creep: float  # final over instant response, minus 1
+    creep_share: float  # share of the creep in a fine step
     gain: float  # [deg/mm], 1 for the muscle
     offset_deg: float
     wrap: Any  # capstan: (fine,)

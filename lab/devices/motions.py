@@ -13,7 +13,7 @@ from .drawn import DrawnPlant
 
 SCANS_HZ = {"scan": 0.2, "fast_scan": 0.6}
 _SLOPE_SHARE = 0.35  # of the greatest speed that the fast scan may ask for
-_RETURN, _REST_S = 0.3, 1.0  # share of the greatest speed on the way back to rest, and the rest there
+_RETURN, _REST_S = 0.3, 1.0  # share of the greatest speed on the return, and rest there
 _QUICK = 0.25  # of the full length
 
 

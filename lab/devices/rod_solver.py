@@ -45,7 +45,7 @@ _EXACT = 1e-13  # [mm or N]
 TOLERANCE_MM = 1e-9
 """Greatest residual of the friction law that a step may leave [mm]."""
 
-_NEWTON = 20  # iterations before it is given up
+_NEWTON = 20  # greatest number of iterations
 _GRAVITY_ROUNDS = 100
 _GRAVITY_MM = 1e-10
 
@@ -286,8 +286,8 @@ def _newton(s: Any, w: Work, p: RodNumbers, guess: float, hold: float, room: flo
         rho, moved = 0.5 * min(p.compliance[j - 1], p.compliance[j]), s[j] - w.before[j]
         steep = p.mu * a * w.give[j] * (1.0 if w.bend[j] > 0 else -1.0) if j > p.shaft_contacts else 0.0
         slack = w.slope[j - 1] + w.slope[j] == 0
-        goes_on = guess * w.side[j]  # the first guess: who slipped before does so again
-        free = forward == -backward  # no friction at all: the tensions are equal, whichever way it slips
+        goes_on = guess * w.side[j]  # first guess: contacts that slipped before slip again
+        free = forward == -backward  # without friction the tensions are equal for either slip direction
         if (free or moved + rho * forward > 0 or goes_on > 0) and not slack:
             w.side[j] = 2.0 if free else 1.0
             ahead = a * w.slope[j] + steep * w.tension[j]

@@ -14,14 +14,14 @@ from hystmpc.trials.config import dump_yaml
 # device's own watchdog acts; ends before anything moves.
 Ending = Literal["goes on", "stops", "left alone", "refuses"]
 _AT_S = 3.0
-_DEAD_S = 1.0  # `dead_after_s` 0.5, and half a second for what is under way and for a busy machine
+_DEAD_S = 1.0  # `dead_after_s` 0.5, and 0.5 s for data in transit and for a busy machine
 _STRAY_S = 2.0  # a device that does not follow: twice `dead_after_s`, and the same
-_IMPLAUSIBLE_S = 4.0  # the command has to travel before an angle that stands still is implausible
+_IMPLAUSIBLE_S = 4.0  # travel time before a constant angle is implausible
 _FAILS = {"drill": {"solver_fails_from_s": 2.0, "solver_fails_for_s": 0.4}}
 _FAILS_ON = {"drill": {"solver_fails_from_s": 2.0, "solver_fails_for_s": 1000.0}}
 _LONG = {"reference": {"cycles": 16}}  # long enough for a second run to be refused meanwhile
 _FAST = {"reference": {"frequency_hz": 0.8, "cycles": 8}}
-_SLOW_RETURN = {"watchdog_rate_per_s": 0.1}  # a second run comes while the device is still on its way back
+_SLOW_RETURN = {"watchdog_rate_per_s": 0.1}  # a second run starts during the return of the device
 _SOFT = {"ramps": {"brake_per_s2": 20.0}}  # v^2 / 2a is twenty times the overshoot
 # Sensors other than the continuous one: block `sensor` of the device, and the one of the run.
 _FRAMES = (

@@ -115,23 +115,23 @@ SAFE = 0.0
 """The command that a device holds at first, and to which its watchdog leads it [mm]."""
 
 FaultKind = Literal[
-    "stuck",  # the tip stays where it is
-    "dithers",  # it trembles there by `size` deg at `period_s`
-    "outside",  # the sensor is out of its range for every other `period_s`; for good where that is 0
-    "shifted",  # the sensor has come off: its angle is `size` deg beside
-    "spikes",  # every tenth reading is `size` deg beside
-    "silent",  # no reading comes any more
-    "ages",  # readings come later and later, by `size` s a second
-    "held",  # it says that it holds `size` mm
-    "held_nan",  # every other `period_s` it does not say what it holds
-    "deaf",  # it takes no command, and says so by what it holds
-    "restarts",  # it is switched off and on: another session, at rest
-    "leaves",  # its watchdog acts although commands come
-    "wanders",  # it moves by itself, up and down, and says so
-    "steepens",  # the tip goes `size` times as far as before
-    "reads_slowly",  # `read` takes `size` s and always has something
+    "stuck",  # the tip does not move
+    "dithers",  # the tip oscillates about a fixed angle by `size` deg at `period_s`
+    "outside",  # the sensor is out of range for every other `period_s`; permanently if that is 0
+    "shifted",  # a loose sensor: its angle is shifted by `size` deg
+    "spikes",  # every tenth reading is shifted by `size` deg
+    "silent",  # no further readings
+    "ages",  # the delay of readings grows by `size` s a second
+    "held",  # reports a held command of `size` mm
+    "held_nan",  # no report of the held command for every other `period_s`
+    "deaf",  # rejects commands, as its reported held command shows
+    "restarts",  # power cycle: another session, at rest
+    "leaves",  # its watchdog acts in spite of commands
+    "wanders",  # moves by itself, up and down, with true reports
+    "steepens",  # gain of the tip multiplied by `size`
+    "reads_slowly",  # `read` takes `size` s and always returns a reading
     "writes_slowly",  # `write` takes `size` s
-    "stalls",  # the program that controls it stands still for `size` s, once
+    "stalls",  # the controlling program stalls once for `size` s
 ]
 
 

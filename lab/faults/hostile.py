@@ -25,9 +25,9 @@ from .description import SAFE, BodyState, DeviceFault, DeviceSpec, FaultKind, Ro
 
 _NS = 1_000_000_000
 _STEP_NS = 2_000_000  # of the body, at most
-_ROW_NS = 10_000_000  # between two rows of the log, commands left out
-_SOCKET = 256  # readings that wait to be read; the newest are lost beyond, as in a socket
-_BETWEEN_NS = 200_000_000  # that pass between two connections
+_ROW_NS = 10_000_000  # period of the log rows, besides commands
+_SOCKET = 256  # capacity for unread readings; beyond it the newest are lost, as in a socket
+_BETWEEN_NS = 200_000_000  # time between two connections
 _OUTSIDE_DEG = 9_999.0
 _LONGEST_NS = 600 * _NS
 
@@ -48,8 +48,8 @@ class DeviceState:
     shown_deg: float = math.nan
     next_reading_ns: int = _NS
     next_row_ns: int = _NS
-    newest_ns: int = _NS  # when the newest reading that was read had been taken
-    heard_ns: int | None = None  # last word of a controller; None where the watchdog rests
+    newest_ns: int = _NS  # measurement time of the newest reading that was read
+    heard_ns: int | None = None  # time of a controller's last message; None if the watchdog is off
     returns: bool = False
     deaf: bool = True
     sequence: int = 0
@@ -352,7 +352,7 @@ def clock_of(run: RunContext) -> Clock:
 
 _HOST = "127.0.0.1"
 _PAUSE_S = 0.0005
-_PATIENCE_S = 60.0  # a process that starts on a busy machine
+_PATIENCE_S = 60.0  # start of a process on a busy machine
 
 
 @contextmanager

@@ -103,7 +103,7 @@ def _ending(case: FaultCase, played: Played, commands: int) -> str:
     if code == _STOPPED:
         return "stops"
     if case.signal == "SIGHUP" and _latched(played.folder) == "SIGHUP":
-        return "stops"  # nobody reads the exit code of what ran in a terminal that is gone
+        return "stops"  # a program in a closed terminal has no exit code
     return "refuses" if not commands else f"exit code {code}"
 
 
@@ -142,7 +142,7 @@ def _rise_mm(case: FaultCase, played: Played, rows: Rows, received: Sequence[tup
     if case.expected in ("goes on", "refuses") or case.device_gone or not received:
         return math.nan
     since = _fault_ns(case, played, received) + 1e9 * (case.notice_s + IN_FLIGHT_S)
-    if case.restart:  # a device that comes back holds its rest: what the one before it held is over
+    if case.restart:  # a restarted device is at rest, whatever it held before
         since = max((b[0] for a, b in pairwise(rows) if b[1] < a[1]), default=since)
     first = max((k for k, row in enumerate(rows) if row[0] <= since), default=0)
     return rise([abs(row[3] - SAFE) for row in rows[first:]])

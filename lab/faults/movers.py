@@ -46,7 +46,7 @@ LAW: tuple[str, ...] = ("linearised_mpc", "pid", "inverse")
 ANGLE_LIMITS_DEG = (10.0, 110.0)
 """Where the tip may go in a commissioning and an investigation [deg]."""
 
-_SETTLE_S = 6.0  # that a device is watched after everybody has left: its watchdog and the way back
+_SETTLE_S = 6.0  # observation after the last connection: watchdog and return
 _REFERENCE: Mapping[str, Any] = {
     "kind": "scan_sinusoid",
     "start_deg": 45.0,
@@ -317,7 +317,7 @@ def _steered(node: Any, tip: TipController, clock: SimulatedClock, dt_s: float) 
             break
         if not node.over and k * dt_s >= _ROS_STAYS_S * (len(_ROS_TARGETS_DEG) - len(targets)) and targets:
             tip.set_target(targets.pop(0))
-    for _ in range(round(_ROS_STAYS_S / dt_s)):  # a stop is on its way
+    for _ in range(round(_ROS_STAYS_S / dt_s)):  # time for a stop in progress
         _turn(node, clock, dt_s)
     node.leave("the node is ended")
     for _ in range(round(_ROS_STAYS_S / dt_s)):

@@ -71,7 +71,7 @@ def start_device(config: Path, program: Sequence[str] = PROGRAM) -> tuple[subpro
         line = device.stdout.readline()
         if "device ready" not in line:
             raise ConfigError(f"device: got {line.strip()!r}, expected it to start")
-    except BaseException:  # Ctrl-C, too, must not leave it behind
+    except BaseException:  # no process may be left, even after Ctrl-C
         end(device)
         raise
     found = _PORT.search(line)

@@ -222,7 +222,7 @@ def shows_s(truth: Truth) -> float:
     """Time of a fault's first visible effect [s]; NaN without one. The rule of each kind is in its function."""
     found = [_RULES[fault.kind](truth, fault) for fault in truth.device.spec.faults if fault.kind in _RULES]
     if not truth.asked.grace_s or any(fault.kind == "ages" for fault in truth.device.spec.faults):
-        found.append(_ages(truth))  # a device in real time stands still at times, and nothing is wrong with it
+        found.append(_ages(truth))  # a device in real time may stall without a fault
     if truth.device.spec.body.gain < 0 and truth.asked.mover in ("run", "ros2"):
         found.append(_against(truth))
     return min((t for t in found if math.isfinite(t)), default=math.nan)
@@ -363,7 +363,7 @@ def judged(name: str, device: HostileDevice, asked: Asked, ending: Ending, healt
     last = float(truth.t[at[-1]]) if at.size else math.nan
     slow = any(fault.kind in ("reads_slowly", "writes_slowly") for fault in device.spec.faults)
     wanders = any(fault.kind == "wanders" for fault in device.spec.faults)
-    on_s = last if ending.how == "ended" else math.nan  # it went on to its end, at that time
+    on_s = last if ending.how == "ended" else math.nan  # time of the regular end
     failures = {
         f"raised: {ending.words[:120]}": ending.how == "raised",
         f"{wrong} commands beyond limits or rate": wrong > 0,

@@ -41,8 +41,8 @@ _SIN: Final[dict[str, dict[str, str]]] = {
     "hb1": {"lstm": ">/>", "gru": ">/>"},
     "hb2": {"fnn": "</<", "lstm": "~/~", "gru": "~/~", "fnn_hib": "</<", "hb1": "</<"},
 }
-# Order of the models by mean error, least first, as S2's conclusion has it; those in one group are not told apart.
-# Of point-to-point motions it does not place the GRU.
+# Order of the models by mean error, least first, in S2's conclusion; models in one group are not distinguished.
+# For point-to-point motions the GRU is not ranked.
 S2_ORDER: Final = {
     "p2p": (("hb2",), ("lstm", "hb1"), ("backlash",), ("pi", "fnn_hib"), ("fnn",)),
     "sin": (("lstm", "gru", "hb2"), ("fnn_hib", "hb1"), ("backlash", "pi"), ("fnn",)),
@@ -67,7 +67,7 @@ class Printed:
         return f"{'> ' if self.above else ''}{text} [{self.mark}]"
 
 
-# S2 Fig. 8 as told in its text: (motion, direction, kind) to error relative to the FNN's, mean and maximum [%].
+# S2 Fig. 8 by its text: (motion, direction, kind) to error relative to the FNN's, mean and maximum [%].
 S2_RELATIVE: Final[dict[tuple[str, str, str], tuple[Printed, Printed]]] = {
     ("sin", "forward", "lstm"): (Printed(17), Printed(23)),
     ("sin", "inverse", "lstm"): (Printed(23), Printed(66)),

@@ -20,7 +20,7 @@ class Reads(StrEnum):
     """Meaning of a ratio."""
 
     FASTER = "x faster"  # peer / ours
-    OVER_LIMIT = "x limit"  # ours / limit
+    OVER_LIMIT = "x limit"
     TAIL = "p99/median"  # of ours
 
 

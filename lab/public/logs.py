@@ -32,7 +32,7 @@ SEAL_LAYOUT = LogMapping.parse(
     },
     "seals",
 )
-RATE_HZ, _SEEN_STROKES, _LAW = 25.0, 0.6, 2  # pressures from which friction is extrapolated, at least
+RATE_HZ, _SEEN_STROKES, _LAW = 25.0, 0.6, 2  # least number of pressures for an extrapolation of friction
 _NAME = re.compile(r"(.+)_([0-9.]+)bar")
 
 
