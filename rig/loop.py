@@ -317,7 +317,7 @@ class ControlLoop:
         self._flag.set(cause)
         self._failures += 1
         with suppress(Exception):  # the clock itself, or the book-keeping
-            self._anchor.not_sent(self._clock.boot_ns())  # it may have been sent without a record
+            self._anchor.not_sent(self._clock.boot_ns())  # it may have left, and not be in the books
             seen, held = Observation(math.nan, ("sample-failed",), ""), self._gate.last
             times = self._times(max(self._woke_ns, deadline), deadline)
             self._conclude(times, seen, Decision(held, "wait", cause), held, seen.faults)

@@ -147,7 +147,7 @@ def control_loop(
         return stop_commands(held, velocity, held if math.isnan(safe) else safe, ramps, settings.overshoot, dt_s)
 
     def to_safe(cause: str) -> SafeStop:
-        flag.end()  # later requests are refused
+        flag.end()  # whoever asks for something else from now on is told so
         patience = max(_REPEATS, round(_PATIENCE_S / dt_s))
         return SafeStop(way, safe, tolerance, cause, patience=patience, stays=stays)
 

@@ -56,6 +56,7 @@ class DeviceCase:
 
     @property
     def name(self) -> str:
+        """Name of the device."""
         return self.device.name
 
 
