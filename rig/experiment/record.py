@@ -146,7 +146,7 @@ def record(
     transport: Transport | None = None,
     desk: Desk | None = None,
 ) -> RecordResult:
-    """Play every excitation and write `trials/NAME.csv` and a manifest; arguments as of `run_bench`.
+    """Play every excitation; write `trials/NAME.csv` in canonical columns and a manifest. Arguments as `run_bench`.
 
     Trials by frames have empty cells, which no identification accepts: `note` is then called
     with a warning first.
@@ -220,7 +220,7 @@ class TrajectoryExcitation(Settings):
 
 
 class S1SinusoidSettings(TrajectoryExcitation):
-    """Excitation `kind: s1_sinusoid`: a decaying sinusoid of pressure, S1 eq. (5) or (6) [bar].
+    """Excitation `kind: s1_sinusoid`: a decaying pressure sinusoid [bar], S1 eq. (5) (`zero`) or (6) (`raised`).
 
     Attributes:
         baseline: `zero`: the decaying sinusoid has its lowest points at 0 bar; `raised`: it decays towards 1.5 bar.
