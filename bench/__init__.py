@@ -1,1 +1,1 @@
-"""Work at a device, stage by stage: from a device to a verified controller, from a gap of a simulator to its cause."""
+"""Work at a device in stages: from a device to a verified controller, from a simulator's gap to its cause."""

@@ -1,4 +1,4 @@
-"""A commissioning: safe range, recordings, check, identification, diagnosis, controller, verification, report."""
+"""Commissioning: safe range, recordings, check, identification, diagnosis, controller, verification, report."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class CommandRange:
 
 @dataclass(frozen=True)
 class RecordedTrials:
-    """Recordings by name, in their order."""
+    """File names of the recordings, in their order."""
 
     names: tuple[str, ...]
 
@@ -146,7 +146,6 @@ def commission_logs(
     """Commission from recordings alone: model, controller and report, without a verification on the device.
 
     Args:
-        logs: files or folders.
         settings: of the bench, for limits, rate and safe command; what the recordings show where left out.
 
     Raises:
@@ -193,7 +192,6 @@ def _hashes(files: Sequence[Path]) -> dict[str, str]:
 
 
 def _computing_s(block: CommissionBlock) -> float:
-    """Computing time that is expected [s]."""
     return sum(seconds for name, seconds in _COMPUTING_S.items() if name != DIAGNOSE or block.diagnose)
 
 
@@ -225,7 +223,7 @@ def _on_device(settings: CommissionSettings, stages: Stages, planned: Budget) ->
 
 
 def _ranged(settings: CommissionSettings, stages: Stages) -> CommandRange:
-    """Range of the command by climbs from the safe command, and its rate by a dash; never beyond the limits."""
+    """Determine the command range by climbs from the safe command, and its rate by a dash, within the limits."""
     stages.say("range")
     block, climbs = settings.commission, list[ClimbResult]()
     for k, end in enumerate(directions(settings)):
@@ -302,7 +300,6 @@ def _reported(
     tracks: Tracks | None = None,
     verified: Verification | None = None,
 ) -> Commissioned:
-    """Write the report."""
     from .report import write_commission  # matplotlib takes a second to import
 
     stages.say("report")

@@ -62,7 +62,7 @@ class InvestigateBlock(Settings):
 
 
 class CommissionSettings(BenchSettings):
-    """A bench file with the block `commission`.
+    """Settings in a bench file with the block `commission`.
 
     Attributes:
         commission: what may be done.
@@ -87,7 +87,7 @@ class CommissionSettings(BenchSettings):
 
     @property
     def angle_limits(self) -> tuple[float, float]:
-        """Least and greatest angle that the tip may take [deg]."""
+        """Least and greatest permitted tip angle [deg]."""
         if self.commission.angle_limits_deg is not None:
             return self.commission.angle_limits_deg
         low, high = self.sensor.lower_deg, self.sensor.upper_deg
@@ -95,7 +95,7 @@ class CommissionSettings(BenchSettings):
 
 
 class InvestigateSettings(CommissionSettings):
-    """A bench file with the block `investigate`; a block `commission` may stay, of which the angle limits count.
+    """Settings in a bench file with the block `investigate`; of a block `commission` the angle limits count.
 
     Attributes:
         investigate: what is judged, and how long the device may be moved.
@@ -105,7 +105,7 @@ class InvestigateSettings(CommissionSettings):
 
     @property
     def budget_s(self) -> float:
-        """Device time that is allowed [s]."""
+        """Permitted device time [s]."""
         return 60.0 * self.investigate.minutes
 
 
@@ -113,7 +113,7 @@ C = TypeVar("C", bound=CommissionSettings)
 
 
 def load_commission(path: Path | str, overrides: Iterable[str] = ()) -> CommissionSettings:
-    """Settings in a bench file with the block `commission`; its file names are relative to it and become absolute.
+    """Read the settings in a bench file with the block `commission`; file names in it become absolute.
 
     Raises:
         ConfigError: on an unreadable file, an unknown key or a value out of bounds.
@@ -123,7 +123,7 @@ def load_commission(path: Path | str, overrides: Iterable[str] = ()) -> Commissi
 
 
 def located_commission(settings: C, folder: Path) -> C:
-    """Settings with absolute file names; relative ones start at `folder`."""
+    """Settings with file names resolved against `folder`."""
     changes: dict[str, Any] = located(settings, folder)
     motions = settings.commission.motions
     if motions is not None:
@@ -136,7 +136,7 @@ def located_commission(settings: C, folder: Path) -> C:
 
 
 def load_investigation(path: Path | str, overrides: Iterable[str] = ()) -> InvestigateSettings:
-    """Settings in a bench file with the block `investigate`; its file names are relative to it and become absolute.
+    """Read the settings in a bench file with the block `investigate`; file names in it become absolute.
 
     Raises:
         ConfigError: on an unreadable file, an unknown key or a value out of bounds.

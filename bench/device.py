@@ -89,7 +89,7 @@ class Track:
 
     @classmethod
     def load(cls, path: Path) -> Track:
-        """Record from the CSV of `save`.
+        """Read a record from the CSV of `save`.
 
         Raises:
             LogError: if it is no such file.
@@ -103,7 +103,7 @@ class Track:
 
 
 class MovableDevice(Protocol):
-    """A device that can be moved; each call starts and ends at rest at the safe command.
+    """Interface of a device for motions; each call starts and ends at rest at the safe command.
 
     Calls raise `DeviceStoppedError` after a safe stop, and `ConfigError` where the device does not answer or a stop is
     latched; nothing has moved then.
@@ -138,7 +138,7 @@ Open = Callable[[Path, Tick], MovableDevice]
 
 @final
 class BenchDevice(MovableDevice):
-    """A device behind a transport of the bench, with all safety of `run_bench`.
+    """Device behind a transport of the bench, with all safety functions of `run_bench`.
 
     A transport of another process is run in real time, each motion with its run folder under `folder/runs`, and
     prepared before the first motion of every stage. A device in this process (`kind: simulated`) is run on a simulated
@@ -242,7 +242,7 @@ class BenchDevice(MovableDevice):
 def opened_device(
     settings: CommissionSettings, folder: Path, views: Views = Views(), note: Note = lambda text: None
 ) -> Open:
-    """Opener of the device that the settings describe.
+    """Function that opens the device described by the settings.
 
     `folder` is the start of file names of a simulated plant; `views` and `note` as of `BenchDevice`.
     """
@@ -280,7 +280,7 @@ def track_of(samples: Sequence[Sample], duration_s: float, dt_s: float) -> Track
 
 
 def _free(folder: Path, name: str) -> Path:
-    """New folder with that name, numbered after interrupted runs."""
+    """New folder of that name, numbered after interrupted runs."""
     free, number = folder / name, 1
     while free.exists():
         number += 1
@@ -300,10 +300,10 @@ _NOISE_DEG = 0.05  # default: an angle that never changes would be taken for a d
 
 
 def make_plant(settings: Mapping[str, Any], dt_s: float, seed: int, folder: Path, unit: str) -> tuple[Plant, float]:
-    """Plant of a block `plant` with `simulator` or `device`, parameters and effects, and its held command after a
-    reset.
+    """Build the plant of a block `plant` and return it with its held command after a reset.
 
-    Relative file names start at `folder`; `seed` is that of the noise, `unit` the required one of the command.
+    The block has `simulator` or `device`, parameters and effects. Relative file names start at `folder`; `seed` is that
+    of the noise, `unit` the required one of the command.
 
     Raises:
         ConfigError: on an unknown device, key or parameter, a value out of bounds, or another unit.

@@ -1,4 +1,4 @@
-"""From recorded trials to a model and its controllers: check, identification, diagnosis, controller files."""
+"""Model and controllers from recorded trials: check, identification, diagnosis, controller files."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _KIND = "auto"
 
 @dataclass(frozen=True)
 class Subject:
-    """A device to be identified: limits, sample rate, recordings."""
+    """Device to be identified: limits, sample rate, recordings."""
 
     name: str
     command_unit: str  # mm or bar
@@ -61,7 +61,7 @@ class Subject:
 
 
 def subject_of(settings: CommissionSettings, limits: CommandLimits, trials: Iterable[Path]) -> Subject:
-    """Subject with these limits and recordings, otherwise as in the settings."""
+    """Subject with these limits and recordings; all other data from the settings."""
     return Subject(
         name=settings.name,
         command_unit=settings.command_unit,
@@ -84,7 +84,7 @@ class TrialCheck:
 
 
 def check_trials(subject: Subject) -> TrialCheck:
-    """Quality check of all recordings, as of `hystmpc check`.
+    """Check the quality of all recordings, as `hystmpc check`.
 
     Raises:
         LogError: with the first fault if a recording cannot be used.
@@ -105,7 +105,7 @@ def check_trials(subject: Subject) -> TrialCheck:
 
 
 def uniform_trials(subject: Subject) -> list[Trial]:
-    """Recordings, resampled to the rate of the device."""
+    """Recordings resampled to the rate of the device."""
     recorded = read_trials(subject.trials)
     for trial in recorded:
         require_recorded(trial)
@@ -199,7 +199,7 @@ def diagnose_model(subject: Subject, model: Path, folder: Path, progress: Progre
 
 
 def certified(diagnosis: Diagnosis) -> bool:
-    """Whether the corrected simulator is better on held-out trials, with the whole interval of 90 %.
+    """Whether the corrected simulator is better on held-out trials, with the whole 90 % interval.
 
     A simulator cannot be corrected for a faulty sensor.
     """
@@ -342,13 +342,13 @@ def write_tip(
 
 
 def tip_settings(file: Path) -> TipSettings:
-    """Settings in a file of a `TipController`; the model's name becomes absolute."""
+    """Settings in a file of a `TipController`; the model's file name becomes absolute."""
     settings, folder = read_settings(file)
     return settings.model_copy(update={"model": str((folder / settings.model).resolve())})
 
 
 def fresh_references(subject: Subject, reached: ReachedAngles, motion_s: float) -> dict[str, MotionSettings]:
-    """References for the verification, new to identification and tuning; those of the user where given."""
+    """References for the verification, not used in identification and tuning; those of the user if given."""
     return references(reached, motion_s, (subject.block.seed, _FRESH), subject.block.motions)
 
 

@@ -1,4 +1,4 @@
-"""An investigation: rounds of recording, diagnosis and planning until the verdict is stable or time is spent."""
+"""Investigation: rounds of recording, diagnosis and planning until the verdict is stable or time is spent."""
 
 from __future__ import annotations
 
@@ -104,11 +104,7 @@ def identification_share(settings: InvestigateSettings) -> float:
 
 
 def _model_hash(settings: InvestigateSettings) -> str:
-    """Fingerprint of the simulator's file, empty without one.
-
-    Raises:
-        ModelError: if it is missing, foreign or corrupt.
-    """
+    """Fingerprint of the simulator's file, empty without one."""
     if settings.investigate.model is None:
         return ""
     path = Path(settings.investigate.model)
@@ -157,7 +153,7 @@ def _round(
 
 
 def _model(settings: InvestigateSettings, stages: Stages) -> Path:
-    """Simulator under test: given, or identified first from recordings of the device."""
+    """Simulator under test: the given one, or one identified first from recordings of the device."""
     if settings.investigate.model is not None:
         return Path(settings.investigate.model)
     motions = recordings(settings, identification_share(settings), settings.investigate.seed)
@@ -176,12 +172,11 @@ def _model(settings: InvestigateSettings, stages: Stages) -> Path:
 
 
 def _record(stages: Stages, settings: InvestigateSettings, runs: Mapping[str, Vec], folder: Path) -> RecordedRound:
-    """Record as many motions as certainly end within the device time."""
+    """Record motions as long as they certainly end within the device time."""
     return RecordedRound(tuple(stages.record(runs, settings, folder, limited=True)), stages.used_s)
 
 
 def _reported(settings: InvestigateSettings, stages: Stages, rounds: tuple[Round, ...], model: Path) -> Investigated:
-    """Write the result and the report."""
     root, last = stages.root, rounds[-1].judged
     fixed = round_folder(root, len(rounds)) / "diagnose" / DIAGNOSIS / FIXED_FILE
     made = Investigated(

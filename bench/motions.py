@@ -41,8 +41,9 @@ LEAST_SHARE = 0.15
 
 @dataclass(frozen=True)
 class ReachedAngles:
-    """Range of angles that the device reaches at rest, and its speed: mean slope times the greatest command rate
-    [deg/s].
+    """Range of angles that the device reaches at rest, and its speed [deg/s].
+
+    The speed is the mean slope times the greatest command rate.
     """
 
     low_deg: float
@@ -90,7 +91,7 @@ def _rest(at: float, dt: float) -> Vec:
 
 @dataclass(frozen=True)
 class Budget:
-    """Device time by stage, without preparation, which comes once in each of three stages [s].
+    """Device time by stage [s], without preparation, which occurs once in each of three stages.
 
     `share` is that of the full recordings; `motion_s` the duration of each reference without approach and return.
     """
@@ -146,7 +147,7 @@ def budget(settings: CommissionSettings) -> Budget:
 
 
 def directions(bench: BenchSettings) -> tuple[float, ...]:
-    """Limits of the command to climb to, the farther first; one where the safe command is at the other."""
+    """Limits of the command to climb to, the farther first; only one if the safe command is at the other."""
     low, high, safe = bench.limits.lower, bench.limits.upper, bench.safe_command
     ends = sorted((low, high), key=lambda end: -abs(end - safe))
     return tuple(end for end in ends if abs(end - safe) > 0.02 * (high - low))
@@ -158,19 +159,19 @@ def away_seconds(bench: BenchSettings) -> float:
 
 
 def run_seconds(bench: BenchSettings, commands: int) -> float:
-    """Upper bound on the device time of a run that plays so many commands [s]."""
+    """Upper bound on the device time of a run with this number of commands [s]."""
     return commands * bench.dt_s + away_seconds(bench) + _RESERVE_S
 
 
 def recordings_seconds(bench: BenchSettings, share: float) -> float:
-    """Upper bound on the device time of all recordings [s]; with a share of 0, of their ways and rests alone."""
+    """Upper bound on the device time of all recordings [s]; `share` 0 counts only approaches and rests."""
     low, high, safe = bench.limits.lower, bench.limits.upper, bench.safe_command
     ways = (min(safe - low, high - safe) + max(safe - low, high - safe)) / (_RETURN * bench.limits.rate_per_s)
     return _RECORDINGS * (2 * _REST_S + away_seconds(bench) + ways) + WHOLE_S * share
 
 
 def return_seconds(bench: BenchSettings) -> float:
-    """Duration of the way back to the safe command from the farther limit [s]."""
+    """Duration of the return to the safe command from the farther limit [s]."""
     safe, low, high = bench.safe_command, bench.limits.lower, bench.limits.upper
     far = low if safe - low > high - safe else high
     return ramp_commands(far, 0.0, safe, bench.ramps, bench.dt_s).size * bench.dt_s
@@ -186,7 +187,7 @@ def prepare_seconds(bench: BenchSettings) -> float:
 
 
 def _walk(step: PrepareStep, bench: BenchSettings, held: float) -> tuple[float, int]:
-    """Command after a step of preparation, and its number of samples; checks of the angle count as passed."""
+    """Command after a preparation step, and its number of samples; angle checks count as passed."""
     phase = step.phase(bench.ramps, bench.dt_s)
     low, high = getattr(step, "least_move_deg", 0.0), getattr(step, "most_move_deg", 0.0)
     phase.begin(PhaseInput(0.0, held), Past([], []))
@@ -201,7 +202,7 @@ def _walk(step: PrepareStep, bench: BenchSettings, held: float) -> tuple[float, 
 def references(
     reached: ReachedAngles, motion_s: float, seed: Sequence[int], given: Mapping[str, MotionSettings] | None = None
 ) -> dict[str, MotionSettings]:
-    """References over random ranges of the reached angles: point to point with holds, scans at 0.2 and 0.6 Hz.
+    """References over random parts of the reached angles: point to point with holds, scans at 0.2 and 0.6 Hz.
 
     `motion_s` is the duration of each, about [s]; `given` ones replace them.
     """

@@ -27,19 +27,19 @@ HOLD_S = 0.6
 """Rest at every step of the climb, at least [s]."""
 
 _SETTLES_S = 2.5  # longest further rest [s]
-_WINDOW_S = 0.2  # a tip has come to rest when it moves by little in such a time [s]
-_SETTLED = 0.1  # of its step: so little
-_CAUTION = 1.5  # times the steepest slope seen is what the next step is taken to do
-_LEAST_STEP = 0.25  # of a step: less is not worth going
-_STILL = 0.45  # of the travel that the watch on motion allows
+_WINDOW_S = 0.2  # window of the test for rest [s]
+_SETTLED = 0.1  # greatest motion at rest, as a share of the step
+_CAUTION = 1.5  # factor on the steepest slope so far, for the next step
+_LEAST_STEP = 0.25  # shortest step, as a share of a full one
+_STILL = 0.45  # share of the motion watch's travel
 _DASH_SHARE, _DASH_S = 0.5, 0.6  # of the range, and of a second at the greatest rate
-_FOLLOWS = 2  # samples that the device may need longer than the command for the same way
-_CAREFUL = 0.9  # of the rate at which a device that does not follow has moved
+_FOLLOWS = 2  # samples by which the device may lag behind the command
+_CAREFUL = 0.9  # share of the measured rate of a device that does not follow
 
 
 @dataclass(frozen=True)
 class ClimbResult:
-    """Result of a climb."""
+    """Result of a climb: reached command and angle, and the reason of its end."""
 
     end: float  # farthest command at which the tip rested within its limits
     angle_deg: float  # at that command [deg], NaN if it never left the start
@@ -50,7 +50,7 @@ class ClimbResult:
 
 @final
 class Bounded(Phase):
-    """Safety wrapper of a phase: stop where the median of three angles passes the limits by 2 % of their range.
+    """Safety wrapper of a phase: stop if the median of three angles exceeds the limits by 2 % of their range.
 
     The command's range is measured at rest; a device that overshoots in a fast motion goes farther. Angles count as
     shown, even outside the sensor's range and faster than plausible: those are beyond the limits, not missing.
@@ -76,7 +76,7 @@ class Bounded(Phase):
         self._phase.begin(now, past)
 
     def step(self, now: PhaseInput) -> Decision:
-        """Decision of the wrapped phase, with a fault beyond the limits."""
+        """Decision of the wrapped phase, or a fault beyond the limits."""
         decision = self._phase.step(now)
         keep_shown(self._recent, now)
         angle = float(np.median(self._recent)) if len(self._recent) == MEDIAN else math.nan
@@ -86,7 +86,7 @@ class Bounded(Phase):
 
 
 def keep_shown(recent: deque[float], now: PhaseInput) -> None:
-    """Append the angle of this sample, usable or not, where there is one."""
+    """Append the angle of this sample, usable or not, if there is one."""
     shown = now.angle_deg if math.isfinite(now.angle_deg) else now.shown_deg
     if math.isfinite(shown):
         recent.append(shown)
@@ -94,7 +94,7 @@ def keep_shown(recent: deque[float], now: PhaseInput) -> None:
 
 @final
 class Climb(Phase):
-    """Climb from the held command towards `end` in ramps with rests, and back; it ends near the angle limits.
+    """Phase that climbs from the held command towards `end` in ramps with rests, and back, within the angle limits.
 
     A step is taken only with a usable angle. The first one is a quarter; each is made smaller where 1.5 times the
     steepest slope so far would lead beyond the limits. An angle beyond them on the way turns the motion back at once;
@@ -104,7 +104,6 @@ class Climb(Phase):
 
     Args:
         bench: rate, ramps and hard limits.
-        end: limit of the command.
         angle_limits: of the tip [deg].
         steps: into which the way is divided.
         widen: whether a tip that rests beyond its limits at the start widens them; otherwise the climb ends there.
@@ -135,13 +134,13 @@ class Climb(Phase):
         self._result = ClimbResult(math.nan, math.nan, math.nan, "it was not finished")
 
     def begin(self, now: PhaseInput, past: Past) -> None:
-        """Begin with a rest, for the angle at the start."""
+        """Begin with a rest for the angle at the start."""
         del past
         self._start = self._at = self._target = now.held
         self._plan = deque(self._way(now.held, now.held))
 
     def step(self, now: PhaseInput) -> Decision:
-        """Next command of the present step, of the next one, or of the way back."""
+        """Next command of the present step, of the next step, or of the return."""
         keep_shown(self._recent, now)
         self._settling.append(now.angle_deg)
         self._samples += 1
@@ -157,7 +156,7 @@ class Climb(Phase):
 
     @property
     def result(self) -> ClimbResult:
-        """Farthest command, its angle, and the end of the climb."""
+        """Farthest command, its angle, and the reason of the end."""
         return replace(self._result, still=self._still)
 
     def _settles(self, angle: float) -> bool:
@@ -205,10 +204,10 @@ class Climb(Phase):
         return None
 
     def _next_step(self, angle: float) -> float:
-        """Next step: whole, shortened where it might lead beyond the limits, 0 where little remains."""
+        """Size of the next step: whole, shortened near the limits, 0 if little remains."""
         whole, left = (self._end - self._start) / self._steps, self._end - self._at
         if self._at == self._start:
-            return _LEAST_STEP * whole  # nothing is known of the slope yet
+            return _LEAST_STEP * whole  # the slope is still unknown
         step = whole if abs(left) > 1.2 * abs(whole) else left
         move = _CAUTION * self._slope * step
         room = max(self._limits[1] - angle if move > 0 else angle - self._limits[0], 0.0)
@@ -217,7 +216,7 @@ class Climb(Phase):
         return step if abs(step) >= _LEAST_STEP * min(abs(whole), abs(left)) else 0.0
 
     def _turn(self, now: PhaseInput, why: str) -> None:
-        """Begin the way back and set the result."""
+        """Begin the return and set the result."""
         self._back = True
         self._result = ClimbResult(self._at, self._at_deg, self._start_deg, why)
         bench = self._bench
@@ -229,7 +228,7 @@ class Climb(Phase):
 
 
 def climb_seconds(bench: BenchSettings, end: float, steps: int) -> float:
-    """Duration of a climb to `end` and of the way back [s]."""
+    """Duration of a climb to `end` and of the return [s]."""
     safe = bench.safe_command
     stops = [*np.linspace(safe, end, steps + 2).tolist(), safe]
     return waypoint_commands(safe, stops, [HOLD_S] * len(stops), bench.ramps, bench.dt_s).size * bench.dt_s
@@ -237,7 +236,7 @@ def climb_seconds(bench: BenchSettings, end: float, steps: int) -> float:
 
 @final
 class Dash(Recorded):
-    """Dash over half of the way to `end` and back, for at most 0.6 s at the greatest rate.
+    """Phase that dashes over half of the distance to `end` and back, for at most 0.6 s at the greatest rate.
 
     It measures the rate of a device that reports its command.
     """
@@ -259,18 +258,18 @@ class Dash(Recorded):
 
     @property
     def tells(self) -> bool:
-        """Whether the device reports the command that it holds."""
+        """Whether the device reports its held command."""
         return bool(np.isfinite(self.reported).any())
 
     @property
     def rate_per_s(self) -> float:
-        """Rate to use: the limit where the device followed it or reports nothing, else 90 % of the measured rate."""
+        """Usable rate: the limit if the device followed it or reports nothing, else 90 % of the measured rate."""
         limit = self._bench.limits.rate_per_s
         sent, reported = self._there, np.array(self.reported[: self._there.size])
         if not np.isfinite(reported).any():
             return limit
         lasts, wanted = _ten_to_ninety(reported, sent[0], self._span), _ten_to_ninety(sent, sent[0], self._span)
-        if math.isnan(lasts):  # it did not even come to nine tenths of the way
+        if math.isnan(lasts):  # it did not reach nine tenths of the travel
             known = reported[np.isfinite(reported)]
             moved = float(np.abs(known - sent[0]).max())
             return _CAREFUL * min(limit, max(moved / (sent.size * self._bench.dt_s), 0.01 * limit))
@@ -280,7 +279,7 @@ class Dash(Recorded):
 
 
 def _ten_to_ninety(values: Vec, start: float, span: float) -> float:
-    """Rise time in samples from 10 % to 90 % of the way; NaN where 90 % is not reached."""
+    """Rise time from 10 % to 90 % of the travel [samples]; NaN if 90 % is not reached."""
     share = (values - start) / span
     early, late = np.flatnonzero(share >= 0.1 - 1e-9), np.flatnonzero(share >= 0.9 - 1e-9)
     return float(late[0] - early[0]) if late.size else math.nan

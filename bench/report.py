@@ -1,4 +1,4 @@
-"""report.html of a commissioning and of an investigation: the verdict first, then its derivation."""
+"""Page report.html of a commissioning and of an investigation: the verdict first, then its derivation."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def write_investigation(made: Investigated, name: str, command_unit: str) -> Pat
 
 
 def before_and_after(tracks: Tracks, unit: str) -> Figure:
-    """Angle, error and command [unit] of each controller over time, a column for each shown reference."""
+    """Plot of angle, error and command [unit] of each controller over time, a column for each shown reference."""
     names = [name for name in SHOWN if name in tracks] or list(tracks)[:2]
     with new_figure(9.0, 5.2) as figure:
         grid = figure.subplots(3, len(names), sharex="col", height_ratios=(2, 1.3, 1.3), squeeze=False)
@@ -100,7 +100,7 @@ def before_and_after(tracks: Tracks, unit: str) -> Figure:
 
 
 def _column(column: Sequence[Axes], name: str, runs: Mapping[str, Track]) -> None:
-    """One reference: angles, errors, commands."""
+    """Draw one reference: angles, errors, commands."""
     angle, error, command = column
     first = runs[MPC]
     angle.plot(first.t, first.reference_deg, color=REFERENCE, lw=2.5, label="reference")
@@ -329,7 +329,7 @@ def why_these(plan: RoundPlan) -> str:
 
 
 def _figure(made: Investigated, one: Round, unit: str) -> Figure:
-    """Command, angles and expected separation of each motion of a round, a column each."""
+    """Figure of command, angles and expected separation of each motion of a round, a column each."""
     log = RunFolder.open(_diagnosis(made, one)).log()
     motions = made.folder / FIRST if one.number == 1 else _diagnosis(made, made.rounds[one.number - 2]).parent
     names = one.recorded.names

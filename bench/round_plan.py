@@ -1,4 +1,4 @@
-"""Planning of rounds: motions within limits and device time; the first ones from the simulator alone."""
+"""Planning of the rounds of an investigation: motions within limits and device time."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ LEAST_MOTION_S = 8.0
 LEAST_BITS = 0.1
 """Least expected information of a designed motion [bit]."""
 
-_CAREFUL = 0.7  # of the travel without motion that stops a run
-_FURTHER = 2.0  # of the longest first motion: a kind of motion that was not recorded yet
+_CAREFUL = 0.7  # share of the travel without motion that stops a run
+_FURTHER = 2.0  # length of an unrecorded kind of motion, in longest first motions
 _FIRST_SHARE = 0.6  # of the device time that the first motions may take
 
 
@@ -81,7 +81,7 @@ def least_seconds(bench: BenchSettings) -> float:
 
 
 def first_longest_s(settings: InvestigateSettings, left_s: float) -> float:
-    """Greatest duration of each first motion in the device time left [s].
+    """Greatest duration of each first motion within the remaining device time [s].
 
     Raises:
         ConfigError: if the device time is too short for them.
@@ -105,7 +105,7 @@ def first_seconds(settings: InvestigateSettings, left_s: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class RoundPlanner:
-    """Planner of one round's motions within the device time left [s]; it writes them into `folder`."""
+    """Planner of one round's motions within the remaining device time [s]; it writes them into `folder`."""
 
     settings: InvestigateSettings
     simulator: Simulator
@@ -120,7 +120,7 @@ class RoundPlanner:
         return self._plan(first_motions(self.simulator, family, count, allowed(self.settings), around), longest)
 
     def designed(self, question: DiscriminationTask, number: int, longer: int) -> RoundPlan | None:
-        """Plan of the designed motion with most expected information; None where none has enough.
+        """Plan of the designed motion with most expected information; None if no motion has enough.
 
         `number` is that of its recording; `longer` a factor on its duration, where shorter ones did not decide.
         """
@@ -152,7 +152,7 @@ class RoundPlanner:
         )
 
     def further(self, question: DiscriminationTask | None, number: int, recorded: Collection[str]) -> RoundPlan | None:
-        """Plan of a motion of an unrecorded kind, twice as long as the first ones; None where none is allowed.
+        """Plan of a motion of an unrecorded kind, twice as long as the first ones; None if none is allowed.
 
         The fitted hypotheses of the question judge whether a motion is allowed; those of a typical size without it.
         """
@@ -170,7 +170,7 @@ class RoundPlanner:
         return None if chosen is None else replace(self._plan(chosen, longest), undirected=True)
 
     def _longest_s(self, factor: float) -> float:
-        """Longest motion within the device time left in a round of its own [s]."""
+        """Longest motion in a separate round within the remaining device time [s]."""
         room_s = self.left_s - prepare_seconds(self.settings) - run_seconds(self.settings, 0)
         return min(room_s, factor * self.settings.investigate.longest_motion_s)
 
@@ -235,7 +235,7 @@ def allowed(settings: InvestigateSettings) -> Callable[[EvaluatedMotion], bool]:
 
 
 def planned_commands(folder: Path, name: str) -> Vec:
-    """Commands (N,) of a planned motion, read from its file."""
+    """Read the commands (N,) of a planned motion from its file."""
     return read_csv(folder / f"{name}.csv").command
 
 
@@ -246,12 +246,12 @@ _NUDGE = 0.3  # of the unknowns' typical changes
 
 @dataclass(frozen=True, eq=False)
 class FirstMotions:
-    """First motions of an investigation, in the order of recording."""
+    """First motions of an investigation, in the order of recording, with their hypotheses."""
 
     options: Mapping[str, EvaluatedMotion]  # expected result of each, by the name of its recording
     numbers: Mapping[str, Vec]  # parameters of each in the family (22,)
     explanations: tuple[str, ...]  # hypotheses to discriminate
-    probability: float  # expected one of the right hypothesis; chance is one over their number
+    probability: float  # expected probability of the right hypothesis; chance is one over their number
 
 
 def first_motions(
@@ -331,7 +331,7 @@ def _fastest(
     noise: Noise,
     allowed: Callable[[EvaluatedMotion], bool],
 ) -> tuple[EvaluatedMotion, Vec] | None:
-    """The start of that name, as fast as allowed, with its parameters; None where no speed is allowed."""
+    """Start of that name at the highest allowed speed, with its parameters; None if no speed is allowed."""
     for factor in _SLOWER:
         numbers = family.slower(family.starts[name], factor)
         option = evaluate_motion(everything, family.motion(numbers, name), noise)
@@ -362,7 +362,7 @@ def _greedy(
 
 
 def explanations(simulator: Simulator, limits: CommandLimits, dt: float) -> tuple[OpenHypothesis, ...]:
-    """Hypotheses: the simulator as it is, and with each effect of the library at a typical size."""
+    """Hypotheses: the simulator unchanged, and with each effect of the library at a typical size."""
     angles = simulator.trained_angle_deg
     scale = Scale(limits.lower, limits.upper, angles.lower, angles.upper, 20.0, 100.0, dt)
     baseline = baseline_of(simulator.at_sample_time(dt).chain, Range(lower=limits.lower, upper=limits.upper))
@@ -378,7 +378,7 @@ def _explanation(name: str, baseline: Baseline, candidate: Candidate | None, res
     q = problem.start(baseline.nominal, [] if candidate is None else [candidate.starts[-1]])
     if candidate is not None:
         sizes = q[problem.size - len(candidate.free) :]
-        sizes[:] = np.where(sizes == 0.0, 1.0, sizes)  # a size of none is one typical change
+        sizes[:] = np.where(sizes == 0.0, 1.0, sizes)  # size 0 is replaced by one typical change
     q = np.clip(q, problem.lower, problem.upper)
     nudged = [np.clip(q + _NUDGE * row, problem.lower, problem.upper) for row in np.eye(problem.size)]
     runs = [free_run(problem.fitted_chain(p), rest_deg) for p in (q, *nudged)]

@@ -45,7 +45,6 @@ class RoundVerdict:
         probability: of the first effect; NaN without one.
         closed_share: of the structural gap on the final trials.
         retuned_deg, left_deg: RMSE on the final trials without and with the effects [deg].
-        trials: number of diagnosed trials.
         flips: whether other splits of the trials give another verdict.
         next: motions of the next round; None where the investigation ends.
         ended, why: reason of the end, and the same in one sentence; empty where it goes on.
@@ -69,9 +68,7 @@ class RoundVerdict:
 
     @property
     def result(self) -> tuple[str, frozenset[str], frozenset[frozenset[str]]]:
-        """Verdict, effects and indistinguishable sets, by which rounds are compared; `none` and `retuned` count as
-        equal.
-        """
+        """Verdict, effects and indistinguishable sets, for the comparison of rounds; `none` equals `retuned`."""
         verdict = _NO_GAP[0] if self.verdict in _NO_GAP else self.verdict
         return verdict, frozenset(self.effects), frozenset(frozenset(names) for names in self.ambiguity)
 
@@ -101,7 +98,6 @@ class Investigated:
 
     Attributes:
         ended, why: reason of the end, and the same in one sentence.
-        model: simulator that was judged.
         fixed: corrected by the effects of the diagnosis; None where there is none.
         device_s, budget_s: device time used, interrupted motions included, and allowed [s].
     """
@@ -164,8 +160,6 @@ def judge_round(
     """Diagnose all trials, write the diagnosis, and plan the next round where one follows.
 
     Args:
-        files: recordings in their order.
-        before: verdicts of earlier rounds.
         left_s: device time left [s].
 
     Raises:
@@ -230,7 +224,7 @@ def with_next(
     left_s: float,
     least_s: float,
 ) -> RoundVerdict:
-    """Verdict with its consequence: the end of the investigation and its reason, or the next round.
+    """Add the consequence to a verdict: the end of the investigation and its reason, or the next round.
 
     Ends, in this order: the same effect named in two rounds in a row, or several in three, where they close at least
     half of the gap; no gap in four rounds in a row; too little device time for one more motion; no informative motion.

@@ -33,17 +33,16 @@ R = TypeVar("R")
 
 
 class EndedEarlyError(HystmpcError):
-    """A stage that could not be completed after the device has moved; recordings are kept."""
+    """Error of a stage that cannot be completed after the device has moved; recordings are kept."""
 
 
 @final
 class Stages:
-    """Stages of one folder in their order: executed, or loaded where complete after the same settings and results.
+    """Stages of one folder in order: executed, or loaded if complete with the same settings and earlier results.
 
     Device time and computing time add up to one progress bar; a computed device counts with 5 % of its time.
 
     Args:
-        root: of the commissioning or investigation.
         settings: plain data that all results depend on.
         opens: opens the device; None where nothing is moved.
         progress: called with the time passed, the time expected [s], and a note.
@@ -67,7 +66,7 @@ class Stages:
 
     @property
     def device(self) -> MovableDevice:
-        """Device that is moved.
+        """Device under test.
 
         Raises:
             ConfigError: if everything is made from recordings.
@@ -83,7 +82,7 @@ class Stages:
 
     @property
     def left_s(self) -> float:
-        """Device time left [s]."""
+        """Remaining device time [s]."""
         return self._device_s - self.used_s
 
     def expect(self, device_s: float, computing_s: float) -> None:
@@ -93,11 +92,10 @@ class Stages:
     def complete(
         self, name: str, kind: type[R], do: Callable[[Path], R], computing_s: float = 0.0, device_s: float = 0.0
     ) -> R:
-        """Result of a stage: loaded where it is complete, otherwise computed by `do`.
+        """Result of a stage: loaded if it is complete, otherwise computed by `do`.
 
         Args:
             name: of its folder under `root`.
-            kind: dataclass of the result.
             do: executes the stage in its folder; where it raises, the folder keeps its files.
             computing_s, device_s: expected computing and device time, for the progress bar [s].
 
@@ -131,8 +129,7 @@ class Stages:
         return result
 
     def record(self, runs: Mapping[str, Vec], bench: BenchSettings, folder: Path, limited: bool = False) -> list[str]:
-        """Play commands (N,) and write each recording into `folder/trials`; returns the names of the recordings in
-        order.
+        """Play commands (N,) and write each recording into `folder/trials`; return the recordings' names in order.
 
         Existing recordings are kept.
 
@@ -178,7 +175,7 @@ class Stages:
         self.say(self._note, moving_s)
 
     def computing(self, what: str) -> Progress:
-        """Progress of the present stage's computation, as part of the whole."""
+        """Progress callback of the present stage's computation, as part of the whole."""
 
         def report(done: float, total: float, note: str = "", /) -> None:
             self._computing_s = self._stage_s * min(done / max(total, 1e-9), 1.0)
@@ -232,7 +229,7 @@ def begun(
 
 
 def _begun_after(file: Path) -> str:
-    """Fingerprint of settings and results before a stage, from its file."""
+    """Fingerprint of settings and results before a stage, read from its file."""
     try:
         return str(json.loads(file.read_text(encoding="utf-8"))["fingerprint"])
     except (OSError, ValueError, KeyError, TypeError):
@@ -240,7 +237,6 @@ def _begun_after(file: Path) -> str:
 
 
 def _loaded(file: Path, adapter: TypeAdapter[R]) -> R:
-    """Read the result of a complete stage."""
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
         if data["format"] != FORMAT:
@@ -257,7 +253,7 @@ def fingerprint(parts: object) -> str:
 
 
 def differing(before: Any, now: Mapping[str, Any], at: str = "") -> str:
-    """First key whose value differs, with both values, in words; empty where all are equal."""
+    """First key whose values differ, with both values, in words; empty if all are equal."""
     if not isinstance(before, Mapping):
         return f"holds {at or 'settings'} {before!r}, now {now!r}"
     for key in dict.fromkeys((*before, *now)):

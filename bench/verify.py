@@ -26,17 +26,17 @@ TITLES = {"mpc": "linearised MPC", "inverse": "inverse alone", "pid": "PID, tune
 MPC, PID = "mpc", "pid"
 _SETTLED_S = 0.5  # after which a hold counts as settled
 _AT_REST = 1e-6  # of the command's range
-_BLOCK_S = 1.0  # errors within it belong together
+_BLOCK_S = 1.0  # length of a block of correlated errors
 _ERRORS = 2.0  # standard errors by which the square error has to fall
 _LEAST_GAIN = 0.05  # of the square error
-_NOISE_FACTOR = 1.5  # of the sensor's noise: nothing below can be told from it
+_NOISE_FACTOR = 1.5  # factor on the sensor's noise, below which errors are indistinguishable from it
 _FALLBACKS = 0.02  # of the samples
-_ROUNDS = 0.8  # of the sensor's noise, from which most of its square is the error of its steps
+_ROUNDS = 0.8  # share of the sensor's noise from which quantisation dominates
 _LATE_STEPS = (
     "give the loop a core of its own (block realtime), lower rate_hz, or end other programs on this machine",
     "verify again then: with other settings into a new --out, with the same ones after 7-verify is removed",
 )
-_DECIDED = (Source.MPC, Source.CONTROLLER)  # what a controller has decided itself
+_DECIDED = (Source.MPC, Source.CONTROLLER)  # decisions of the controller itself
 
 Tracks = Mapping[str, Mapping[str, Track]]
 """By reference, then by controller."""
@@ -47,7 +47,7 @@ class ControllerScore:
     """Score of one controller over all references."""
 
     rms_deg: Figure  # of measured minus wanted angle, sensor noise included [deg]
-    by_motion: Mapping[str, Figure]  # the same by reference [deg]
+    by_motion: Mapping[str, Figure]  # RMS by reference [deg]
     greatest_deg: Figure  # greatest absolute error [deg]
     rest_share: Figure  # share of the settled samples of holds with a resting command; NaN without holds
     fallback_share: Figure  # share of the samples answered by a fallback
@@ -96,7 +96,7 @@ def track_all(
 
 
 def load_tracks(folder: Path) -> Tracks:
-    """Tracks of a complete stage."""
+    """Read the tracks of a complete stage."""
     tracks = dict[str, dict[str, Track]]()
     for file in sorted((folder / "tracks").glob("*.csv")):
         motion, _, name = file.stem.rpartition(".")
@@ -152,7 +152,7 @@ def _late_words(scores: Mapping[str, ControllerScore]) -> str:
 
 
 def _verified_steps(scores: Mapping[str, ControllerScore]) -> tuple[str, ...]:
-    """Next steps with a verified controller."""
+    """Recommended next steps with a verified controller."""
     steps = [f"use {TIP_FILE}: hystmpc.TipController.from_config, or `controller:` of `hystmpc run`"]
     if scores["inverse"].rms_deg <= scores[MPC].rms_deg:
         steps.append(
@@ -201,7 +201,7 @@ def _gains(pid: Track, mpc: Track, dt_s: float) -> Vec:
 def _reasons(
     scores: Mapping[str, ControllerScore], mean: float, error: float, sigma_deg: float, model_sigma_deg: float
 ) -> tuple[str, tuple[str, ...]]:
-    """Reason why it is not better, and next steps."""
+    """Reason for a missing advantage over the PID, and next steps."""
     mpc, pid = scores[MPC], scores[PID]
     if max(mpc.rms_deg, pid.rms_deg) < _NOISE_FACTOR * sigma_deg:
         return "Both are at the sensor's noise: these references cannot tell them apart.", (

@@ -1,7 +1,7 @@
-"""The laboratory of hystmpc: the studies that prove what the product does, and the rivals of the papers.
+"""Laboratory of hystmpc: the studies that verify the product, and the competing models of the papers.
 
-A distribution of its own, `hystmpc-lab`. Once it is installed, its verbs (`study`, `gap`, `faults`, `bench`, `data`)
-and its kinds of model stand beside those of hystmpc; hystmpc itself knows nothing of it.
+It is a separate distribution, `hystmpc-lab`. It adds its verbs (`study`, `gap`, `faults`, `bench`, `data`) and its
+kinds of model to those of hystmpc; hystmpc itself does not depend on it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The data sets of the papers on simulated devices, in memory and as canonical CSV files with a manifest."""
+"""Data sets of the papers on simulated devices, in memory and as canonical CSV files with a manifest."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class Dataset:
 
     @property
     def samples(self) -> dict[str, int]:
-        """Samples by split."""
+        """Number of samples by split."""
         return {split: sum(map(len, trials)) for split, trials in self.splits.items()}
 
 
@@ -121,7 +121,7 @@ def write_dataset(dataset: Dataset, folder: Path | str, progress: Progress | Non
 
 
 def read_dataset(folder: Path | str) -> Dataset:
-    """A data set that `write_dataset` wrote; trials read back exactly, sources included.
+    """Read a data set written by `write_dataset`; trials are restored exactly, sources included.
 
     Raises:
         ConfigError: if the manifest is missing, of another format, or lacks an entry.
@@ -161,7 +161,7 @@ DATASETS = ("s1", "s2", "rod")
 
 @dataclass(frozen=True)
 class S1Settings(Quantities):
-    """Choices that S1 leaves open, with our defaults.
+    """Choices that S1 leaves open, with the defaults of this package.
 
     13.4 s at the 250 Hz of the laser give 8 x 3350 = 26 800 training samples; S1 has 26 798.
 
@@ -195,7 +195,7 @@ def s1_motions(settings: S1Settings, seed: int) -> Mapping[str, Mapping[str, Tra
 
 @dataclass(frozen=True)
 class S2Settings(Quantities):
-    """Choices that S2 leaves open, with our defaults; see docs/reference/devices.md.
+    """Choices that S2 leaves open, with the defaults of this package; see docs/reference/devices.md.
 
     Attributes:
         train_hz, val_hz, test_hz: frequencies of the sinusoids [Hz], each with all three baselines.
@@ -267,7 +267,7 @@ class RodSettings:
     motions: S2Settings = field(default_factory=S2Settings)
 
     def plain(self) -> dict[str, Any]:
-        """As plain data for the manifest."""
+        """Settings as plain data for the manifest."""
         motions: Mapping[str, Any] = plain(asdict(self.motions))
         kept = {name: value for name, value in motions.items() if name != "recorder"}
         return {"recorder": plain(asdict(self.recorder)), "motions": kept}

@@ -1,4 +1,4 @@
-"""Bars, tables and pages of the studies: requirements with what misses them, CSV and HTML."""
+"""Bars, tables and pages of the studies: requirements with their violations, CSV and HTML."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ _T = TypeVar("_T")
 
 
 def plain_result(result: Any) -> dict[str, Any]:
-    """A result as JSON; a number that is not finite is null."""
+    """Result as JSON; a number that is not finite is null."""
     return dict(plain(asdict(result)))
 
 
 @dataclass(frozen=True)
 class Rate:
-    """A share of cases."""
+    """Share of cases."""
 
     hits: int
     cases: int
 
     @property
     def value(self) -> float:
-        """The share; not-a-number without cases."""
+        """Share as a number; not-a-number without cases."""
         return self.hits / self.cases if self.cases else float("nan")
 
     @property
@@ -60,10 +60,10 @@ class Rate:
 
 @dataclass(frozen=True)
 class Bar:
-    """A requirement: a number, its bounds, and the cases that miss it.
+    """Requirement: a number, its bounds, and the violating cases.
 
     Attributes:
-        value: the number; not-a-number where no case tells.
+        value: the number; not-a-number without a relevant case.
         wanted: `lower` and `upper` bound.
     """
 
@@ -83,7 +83,7 @@ class Bar:
 
     @property
     def goal(self) -> str:
-        """The bounds in words."""
+        """Bounds in words."""
         low, high = self.wanted
         if low <= 0:
             return f"<= {high:g}" if high > 0 else "0"
@@ -91,14 +91,14 @@ class Bar:
 
     @property
     def plain(self) -> dict[str, Any]:
-        """As JSON; a number that is not finite is null."""
+        """Bar as JSON; a number that is not finite is null."""
         return {**plain(asdict(self)), "state": self.state}
 
     @classmethod
     def at_most(
         cls, name: str, values: Figures, limit: float, level: float = 1.0, misses: tuple[str, ...] | None = None
     ) -> Self:
-        """An order statistic of figures by device: at least the share `level` of them is no greater; 1 for the worst.
+        """Bar on an order statistic of figures by device: the share `level` is no greater; 1 for the maximum.
 
         Args:
             values: infinite for a device that was lost.
@@ -110,29 +110,29 @@ class Bar:
 
     @classmethod
     def share(cls, name: str, hits: Mapping[str, bool], wanted: tuple[float, float], counted: bool = False) -> Self:
-        """The share of the devices that hit; against the bar are those that do not, or that do where `counted`."""
+        """Bar on the share of devices that hit; the others violate it or, if `counted`, those that hit."""
         rate = Rate(sum(hits.values()), len(hits))
         misses = tuple(name for name, hit in hits.items() if bool(hit) is counted)
         return cls(name, rate.value, wanted, len(hits), misses, rate.ci90)
 
     @classmethod
     def none(cls, name: str, totals: Figures) -> Self:
-        """A total over devices that has to be 0."""
+        """Bar on a total over devices that has to be 0."""
         return cls(name, sum(totals.values()), (0.0, 0.0), len(totals), tuple(k for k, n in totals.items() if n))
 
 
 def beyond(values: Figures, limit: float) -> tuple[str, ...]:
-    """Devices whose figure is more than a limit, or not a number."""
+    """Devices with a figure above a limit, or not a number."""
     return tuple(name for name, value in values.items() if not value <= limit)
 
 
 def rmse_of(figures: Figures, controller: str) -> float:
-    """RMSE of a controller over all motions [deg]; infinite where it is not there."""
+    """RMSE of a controller over all motions [deg]; infinite if it is missing."""
     return figures.get(f"{controller}.rmse_deg", math.inf)
 
 
 def over(controller: str, *others: str) -> Callable[[Figures], float]:
-    """RMSE of a controller over the least of others; infinite where one of them is missing."""
+    """RMSE of a controller divided by the least of others; infinite if one of them is missing."""
 
     def ratio(figures: Figures) -> float:
         a, b = rmse_of(figures, controller), min(rmse_of(figures, other) for other in others)
@@ -142,13 +142,13 @@ def over(controller: str, *others: str) -> Callable[[Figures], float]:
 
 
 def by_device(devices: Mapping[str, Figures], figure: Callable[[Figures], _T]) -> dict[str, _T]:
-    """A figure of every device."""
+    """Figure of every device by name."""
     return {name: figure(figures) for name, figures in devices.items()}
 
 
 @dataclass(frozen=True)
 class StudyTable:
-    """Rows of one table; floats are shown to four digits and written in full.
+    """Rows of one table; floats are displayed with four digits and written in full.
 
     Attributes:
         caption: what it shows, and whether its numbers are simulated, real or printed in a paper.
@@ -162,12 +162,12 @@ class StudyTable:
 
     @property
     def piece(self) -> Table:
-        """The table of the report."""
+        """Table as a piece of the report."""
         return Table(self.columns, self.rows, f"{self.caption} ({self.name}.csv)")
 
     @property
     def csv(self) -> str:
-        """Comma-separated text."""
+        """Table as comma-separated text."""
         out = io.StringIO()
         writer = csv.writer(out, lineterminator="\n")
         writer.writerow(self.columns)
@@ -179,18 +179,18 @@ class StudyTable:
         return write_atomically(folder / "tables" / f"{self.name}.csv", self.csv)
 
     def only(self, caption: str, *columns: str) -> StudyTable:
-        """Some of the columns."""
+        """Same table with some of the columns."""
         places = [list(self.columns).index(name) for name in columns]
         return StudyTable(self.name, columns, [[row[k] for k in places] for row in self.rows], caption)
 
 
 def cell(value: float) -> Cell:
-    """A figure in a table; one that is not there is a dash."""
+    """Table cell of a figure; a dash for a missing one."""
     return value if math.isfinite(value) else NOTHING if math.isnan(value) else "infinite"
 
 
 def bars_table(judged: Sequence[Bar]) -> StudyTable:
-    """Every bar with its number and goal."""
+    """Table of every bar with its number and goal."""
     rows: list[list[Cell]] = []
     for bar in judged:
         interval = NOTHING if bar.ci90 is None else f"{bar.ci90[0]:.2f} to {bar.ci90[1]:.2f}"
@@ -202,7 +202,7 @@ def bars_table(judged: Sequence[Bar]) -> StudyTable:
 
 
 def judged_by(bars: Callable[[Any], Sequence[Bar]], results: str) -> dict[str, Any]:
-    """The fields `data` and `summary` of a study that is judged by bars.
+    """Fields `data` and `summary` of a study that is judged by bars.
 
     Args:
         results: name of the list of results in `tables/NAME.json`.
@@ -215,12 +215,11 @@ def _bars_data(bars: Callable[[Any], Sequence[Bar]], results: str, outcome: Any)
 
 
 def _bars_summary(bars: Callable[[Any], Sequence[Bar]], outcome: Any) -> StudyTable:
-    """The bars as the command line shows them."""
     return bars_table(bars(outcome)).only("Bars", "bar", "number", "goal", "devices", "state")
 
 
 def figures_table(devices: Mapping[str, Figures]) -> StudyTable:
-    """Every figure of every device; CSV only."""
+    """Table of every figure of every device, for CSV only."""
     rows: list[list[Cell]] = [
         [name, k, cell(value)] for name, figures in devices.items() for k, value in figures.items()
     ]
@@ -228,7 +227,7 @@ def figures_table(devices: Mapping[str, Figures]) -> StudyTable:
 
 
 def set_up(about: str, facts: Mapping[str, object], outcome: Any, note: str | None = None) -> Iterator[Piece]:
-    """The head of a page: what was done, the settings, and what failed.
+    """Head of a page: work done, settings, and failures.
 
     Args:
         about: the study in some sentences; may be empty.
@@ -256,7 +255,7 @@ def set_up(about: str, facts: Mapping[str, object], outcome: Any, note: str | No
 
 
 def ratios_figure(families: Mapping[str, Sequence[Sequence[float]]], subjects: Sequence[tuple[str, str]]) -> Plotted:
-    """RMSE over that of the better tuned rival, a panel for each family, its devices sorted by the first subject.
+    """Plot of the RMSE divided by that of the better tuned rival, a panel for each family, sorted by first subject.
 
     Args:
         families: a row for each device of the family, with a ratio for each subject.

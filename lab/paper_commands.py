@@ -14,12 +14,12 @@ S2_FREQUENCIES_HZ = {"train": (0.1, 0.2, 0.4, 0.5), "validation": (0.3,), "test"
 
 
 def s1_test_a(duration_s: float = S1_GROUP_S) -> DecayingSine:
-    """S1 test (a): eq. (5) with f = 0.7, tau = 0.12."""
+    """Command of S1 test (a): eq. (5) with f = 0.7, tau = 0.12."""
     return s1_zero_baseline(0.7, 0.12, duration_s)
 
 
 def s1_test_b(duration_s: float = S1_CHIRP_S) -> DecayingSine:
-    """p(t) = A e^(-tau t) ( sin(2 pi (f + c t) t - pi/2) + 1 ) + B [bar]. S1 eq. (10), test (b).
+    """Command of S1 test (b), eq. (10): p(t) = A e^(-tau t) ( sin(2 pi (f + c t) t - pi/2) + 1 ) + B [bar].
 
     A = 0.9, B = 1.2, f = 0.7, tau = 0.1, c = -0.1.
     """
@@ -29,7 +29,7 @@ def s1_test_b(duration_s: float = S1_CHIRP_S) -> DecayingSine:
 
 
 def s1_test_c(decay_per_s: float = -0.05, duration_s: float = S1_CHIRP_S) -> DecayingSine:
-    """p(t) = A e^(-tau t) ( sin(2 pi (f + c t) t - pi/2) + 1 ) [bar]. S1 eq. (11), test (c).
+    """Command of S1 test (c), eq. (11): p(t) = A e^(-tau t) ( sin(2 pi (f + c t) t - pi/2) + 1 ) [bar].
 
     A = 0.6, f = 0.3, c = 0.15. S1 prints tau = 0.05 and calls the signal ascending, which it is with the sign
     turned; `decay_per_s=0.05` gives the printed one.

@@ -51,7 +51,7 @@ class SignedRank:
 
 
 def signed_rank(row: ArrayLike, column: ArrayLike) -> tuple[int, float, float, float]:
-    """Number of trials that differ, p(row < column), p(row > column) and two-sided p, exact where no ranks are tied.
+    """Number of differing trials, p(row < column), p(row > column) and two-sided p, exact without ties.
 
     With n differing trials the smallest one-sided exact p is 2^-n: of 6 trials 1/64, so that p < .05 needs a losing
     rank sum of at most 2.
@@ -100,11 +100,7 @@ def pairwise(errors: Mapping[str, ArrayLike]) -> tuple[SignedRank, ...]:
 
 
 def compared(errors: Mapping[str, ArrayLike], pairs: Sequence[tuple[str, str]]) -> tuple[SignedRank, ...]:
-    """Tests of some pairs, row against column, Holm-corrected as one family.
-
-    Args:
-        errors: as for `pairwise`.
-    """
+    """Tests of some pairs, row against column, Holm-corrected as one family; `errors` as for `pairwise`."""
     tests = [signed_rank(errors[row], errors[column]) for row, column in pairs]
     corrected = holm([test[3] for test in tests])
     return tuple(

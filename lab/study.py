@@ -1,7 +1,7 @@
-"""The engine of all studies: what is drawn, what is run, and the results of its jobs, which are resumed.
+"""Engine of all studies: draw of devices or data, execution of jobs, and their results, which are resumed.
 
-A study is one value of `Study`. Its jobs are done in processes of their own, each leaves one file, and the same command
-resumes where an earlier one ended. Then its tables and its page are written, see `page`.
+A study is one value of `Study`. Its jobs run in separate processes, each writes one file, and the same command
+resumes after the last complete one. Then its tables and its page are written, see `page`.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class StudySettings(Settings):
 
     @classmethod
     def of(cls, **changes: Any) -> Self:
-        """The study with some changes; a change that is None or empty keeps the default.
+        """Settings of the study with some changes; None or an empty change keeps the default.
 
         Raises:
             ConfigError: on a number out of bounds or an unknown name.
@@ -70,7 +70,7 @@ class StudySettings(Settings):
 
 @dataclass(frozen=True)
 class Result:
-    """Outcome of one job; a study adds what its jobs find.
+    """Outcome of one job; a study adds fields of its own results.
 
     Attributes:
         fingerprint: hash of all that the result depends on.
@@ -112,7 +112,7 @@ class ResultFiles(Generic[F]):
         return write_atomically(self.path(result.job), json.dumps(data, indent=1) + "\n")
 
     def load(self, job: Any) -> F | None:
-        """The result of a job, None where there is none yet.
+        """Read the result of a job, None if there is none yet.
 
         Raises:
             LogError: if the file is not a result.
@@ -134,7 +134,7 @@ class ResultFiles(Generic[F]):
         return result
 
     def kept(self, jobs: Iterable[J], fingerprint: Callable[[J], str]) -> dict[str, F]:
-        """Results by key that are done and up to date; a failed or outdated job is done again."""
+        """Results by key that are complete and up to date; a failed or outdated job is executed again."""
         found = ((job, self.load(job)) for job in jobs)
         return {
             job.key: result
@@ -151,7 +151,7 @@ class ResultFiles(Generic[F]):
         costs: Mapping[str, float],
         progress: Progress | None = None,
     ) -> tuple[F, ...]:
-        """Results of all jobs in their order: kept ones, and the others done stage by stage, the costliest first.
+        """Results of all jobs in their order: complete ones, and the others executed by stage, the costliest first.
 
         Args:
             stages: jobs with different keys; each stage may need files that the stages before it leave.
@@ -186,19 +186,14 @@ class ResultFiles(Generic[F]):
 
 
 def wall_minutes(costs: Mapping[str, float], workers: int) -> int:
-    """Wall time of jobs of these costs [s] on so many workers, rounded up; never less than the longest job [min]."""
+    """Wall time [min] of jobs of these costs [s] with that many workers, rounded up, at least the longest job."""
     longest = max(costs.values(), default=0.0)
     return math.ceil(max(sum(costs.values()) / workers, longest) / 60)
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome(Generic[S, F]):
-    """A study with the results of all its jobs.
-
-    Attributes:
-        folder, meta: of the run.
-        drawn: what was drawn, see `Study.draw`.
-    """
+    """Study with the results of all its jobs."""
 
     settings: S
     results: tuple[F, ...]
@@ -208,7 +203,7 @@ class Outcome(Generic[S, F]):
 
     @property
     def done(self) -> tuple[F, ...]:
-        """Results of the jobs that worked."""
+        """Results of the successful jobs."""
         return tuple(result for result in self.results if result.status == "done")
 
     @property
@@ -218,7 +213,7 @@ class Outcome(Generic[S, F]):
 
 
 def nothing(*given: Any) -> Any:
-    """Nothing drawn, nothing known before a job is done."""
+    """Empty default for the draw of a study or the facts of a job."""
     del given
     return {}
 
@@ -226,13 +221,12 @@ def nothing(*given: Any) -> Any:
 @final
 @dataclass(frozen=True, eq=False)
 class Study(Generic[S, J, F]):
-    """One study; all functions are of a module's top level, since worker processes call them.
+    """Description of one study; all functions are at a module's top level, since worker processes call them.
 
     Attributes:
         name: as in `config.yaml`.
         form: name and version of the format of its result files.
         settings: makes its settings from changes of the defaults, see `StudySettings.of`.
-        result: type of its results.
         jobs: all jobs, from the settings and what was drawn; each has a `key`, and a `stage` where there are stages.
         run: fields of a job's result, from job, settings and folder of the run.
         inputs: all that the result depends on, as JSON, from the same.
@@ -243,8 +237,6 @@ class Study(Generic[S, J, F]):
         data: content of `tables/NAME.json`; None for no such file.
         summary: table that the command line shows at the end, and its digits; None for none.
         stages: of the jobs, in their order; each may need files that the stages before it leave.
-        outcome: type of its outcome.
-        encode: a result as JSON.
     """
 
     name: str
@@ -274,12 +266,12 @@ class Study(Generic[S, J, F]):
         return json_hash(self.inputs(job, settings, folder))
 
     def blank(self, job: J, settings: S, folder: Path) -> F:
-        """The result before anything is done, of status `failed`."""
+        """Result before the execution, of status `failed`."""
         empty = {"job": job, "fingerprint": self.fingerprint(job, settings, folder), "status": "failed"}
         return self.result(**{**empty, "message": "", "seconds": 0.0, **self.facts(job, settings)})
 
     def do(self, job: J, settings: S, folder: Path) -> F:
-        """Do one job and write its result; an error is a result too.
+        """Execute one job and write its result; an error is a result too.
 
         Raises:
             KeyboardInterrupt: if the user ended it; nothing is written then.
@@ -292,7 +284,7 @@ class Study(Generic[S, J, F]):
         return result
 
     def begin(self, settings: S, out: Path | str) -> BegunStudy[S, J, F]:
-        """Draw, open the folder, and see what is done.
+        """Draw, open the folder, and determine the complete jobs.
 
         Args:
             out: a new or empty folder, or one in which the study was begun; its finished jobs are kept.
@@ -310,7 +302,7 @@ class Study(Generic[S, J, F]):
 
 
 def _other_study(wanted: str, earlier: Any) -> str:
-    """Why a folder with these earlier settings does not belong to a study; empty where it does."""
+    """Reason why a folder with these earlier settings does not belong to a study; empty if it does."""
     name = earlier.get("study") if isinstance(earlier, dict) else None
     return "" if name == wanted else f"holds a run of {name or 'something else'}, expected one of study {wanted}"
 
@@ -318,10 +310,9 @@ def _other_study(wanted: str, earlier: Any) -> str:
 @final
 @dataclass(frozen=True, eq=False)
 class BegunStudy(Generic[S, J, F]):
-    """A study whose folder is open; its open jobs are still to be done.
+    """Study whose folder is open, with jobs still to be executed.
 
     Attributes:
-        jobs: all of them.
         costs: expected processor time of the jobs that are not done yet, by key [s].
     """
 
@@ -337,11 +328,10 @@ class BegunStudy(Generic[S, J, F]):
         return wall_minutes(self.costs, workers)
 
     def finish(self, workers: int = 1, progress: Progress | None = None) -> Any:
-        """Do the open jobs stage by stage; write tables, page, and `tables/NAME.json` where the study has data for it.
+        """Execute the open jobs by stage; write tables, page, and `tables/NAME.json` if the study has data for it.
 
         Args:
             workers: processes, each on one thread; with 1 the jobs run in this process.
-            progress: see `ResultFiles.complete`.
 
         Returns:
             The outcome, of the study's type.

@@ -1,4 +1,4 @@
-"""Settings of benches, experiments and simulated transports: the common part of `run` and `record`, and `run`'s own."""
+"""Settings of benches, experiments and simulated transports, shared by `run` and `record`, and those of `run` alone."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ class ReviewSettings(Settings):
 
 
 class DrillSettings(Settings):
-    """Block `drill`: an exercise in which the controller's law fails for a time, counted from the start of tracking.
+    """Block `drill`: an exercise in which the control law fails for a given time after the start of tracking.
 
     Attributes:
         solver_fails_from_s: start [s].
@@ -143,7 +143,7 @@ class DrillSettings(Settings):
 
 
 class RunSettings(BenchSettings):
-    """A closed-loop experiment: `hystmpc run`.
+    """Settings of a closed-loop experiment (`hystmpc run`).
 
     Attributes:
         limits: as of every bench; wider ones than those of the model are refused unless `limits.beyond_model` is true.
@@ -199,7 +199,7 @@ def load_run(path: Path | str, overrides: Iterable[str] = ()) -> RunSettings:
 
 
 def located(settings: BenchSettings, folder: Path) -> dict[str, Any]:
-    """Settings of a bench that hold file names, with these resolved against `folder`.
+    """Resolve the file names in the settings of a bench relative to `folder`.
 
     Raises:
         ConfigError: if the latch's file is another kind of file, which a stop would replace and `--reset` remove.
@@ -218,7 +218,7 @@ def _file(text: str, folder: Path) -> str:
 
 
 def _may_latch(file: Path) -> bool:
-    """Whether a file may be a latch: a latch, an empty file, or a missing one."""
+    """Whether a file may be used as a latch: it is a latch, empty, or missing."""
     try:
         text = file.read_text(encoding="utf-8")
         content = json.loads(text) if text.strip() else {"cause": ""}

@@ -1,4 +1,4 @@
-"""A simulated device behind a real wire: settings, server with a watchdog, and faults of the wire."""
+"""Simulated device behind a real wire: settings, server with a watchdog, and fault injection."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from .transports.dds import DdsSettings
 from .transports.transport import Conversion, Datagrams, DeviceLink, Outgoing, Peer, WireUnits
 from .transports.udp import Datagram, Kind, UdpListenSettings, decode
 
-_MESSAGES = 64  # taken at most in one sample
+_MESSAGES = 64  # greatest number in one sample
 _AT_REST = 1e-3  # of the range
 _HEADER = "monotonic_ns,time_s,received,held,angle_deg\n"  # of the log
 
 
 class DeviceSettings(Settings):
-    """A simulated device in a process of its own: `hystmpc device`.
+    """Settings of a simulated device in a separate process (`hystmpc device`).
 
     Attributes:
         rate_hz: samples per second.
@@ -88,13 +88,13 @@ class ServerCounts:
     samples: int
     commands: int
     beyond: int  # commands beyond the drive's limits of value or rate, which were clipped
-    watchdog: int  # how often the controller fell silent
-    unheard: int  # commands between an action of the watchdog and a new greeting; they were not taken
+    watchdog: int  # number of silences of the controller
+    unheard: int  # rejected commands between an action of the watchdog and a new greeting
     rejected: dict[str, int]  # messages rejected, by cause
 
 
 def open_link(settings: DeviceSettings) -> DeviceLink:
-    """The device's end of the wire."""
+    """Open the device's end of the wire."""
     faults, seed = settings.faults, settings.seed
     faulty = any(fault.of_datagrams for fault in faults)
     return settings.link.listen(
@@ -104,12 +104,11 @@ def open_link(settings: DeviceSettings) -> DeviceLink:
 
 @final
 class SimulatedDevice:
-    """A simulated device with a drive, a watchdog and a sensor.
+    """Simulated device with a drive, a watchdog and a sensor.
 
-    Its watchdog leads the drive back to rest once the controller has been silent for `watchdog_s`. From then on no
-    command is taken until a controller greets anew; on a wire without greetings, until a command lies at the drive's
-    position. The return lasts until the first command that is taken. A goodbye ends the watchdog's count, but only at
-    rest.
+    The watchdog returns the drive to rest after `watchdog_s` without commands. From then on no command is accepted
+    until a controller greets anew or, on a wire without greetings, until a command equals the drive's position. The
+    return lasts until the first accepted command. A goodbye ends the watchdog's count, but only at rest.
 
     Args:
         held: the command that it holds after its reset, and returns to.
@@ -140,7 +139,7 @@ class SimulatedDevice:
         self._sent = 0
 
     def serve(self, flag: StopFlag, duration_s: float = math.inf) -> ServerCounts:
-        """Compute and send samples until the flag is set or the time is over."""
+        """Compute and send samples until the flag is set or the duration is over."""
         clock = MonotonicClock(0.0)
         start = deadline = clock.now_ns()
         dt_ns = round(1e9 * self._dt)
@@ -148,13 +147,13 @@ class SimulatedDevice:
             deadline += dt_ns
             clock.wait_until(deadline)
             behind = clock.now_ns() - deadline
-            deadline += max(0, behind // dt_ns) * dt_ns  # a stalled machine: samples are left out, not crowded
+            deadline += max(0, behind // dt_ns) * dt_ns  # after a stall samples are left out, not made up
             self.sample(1e-9 * (clock.now_ns() - start))
         counts = self._samples, self._commands, self._beyond, self._trips, self._unheard
         return ServerCounts(*counts, dict(self._link.counters))
 
     def sample(self, t_s: float) -> None:
-        """One sample: receive commands, move, measure, send the readings after fault injection."""
+        """Execute one sample: receive commands, move, measure, and send the readings after fault injection."""
         received = self._receive()
         if math.isfinite(received):
             self._first = t_s if math.isnan(self._first) else self._first
@@ -175,7 +174,7 @@ class SimulatedDevice:
         self._samples += 1
 
     def _measure(self, t_s: float) -> list[tuple[float, float]]:
-        """Angles [deg] of the messages of this sample and when they were taken [s]; one without an angle at least."""
+        """Angles [deg] to send in this sample, at least one entry, and the times of their measurement [s]."""
         if isinstance(self._settings.sensor, ContinuousSensorSettings):
             return [(self._angle, t_s)]
         if self._imaging is None:
@@ -184,7 +183,7 @@ class SimulatedDevice:
         return [*((frame.angle_deg, frame.taken_s) for frame in frames), (math.nan, t_s)]
 
     def _receive(self) -> float:
-        """The newest accepted command of this sample, NaN without one."""
+        """Newest accepted command of this sample; NaN if there is none."""
         newest = math.nan
         for _ in range(_MESSAGES):
             message = self._link.receive()
@@ -199,12 +198,12 @@ class SimulatedDevice:
         return newest
 
     def _goodbye(self) -> None:
-        """End the watchdog's count where the drive is at rest; elsewhere it continues."""
+        """End the watchdog's count if the drive is at rest."""
         if abs(self._held - self._rest) <= _AT_REST * (self._limits.upper - self._limits.lower):
             self._silent = math.inf
 
     def _taken(self, command: float, newest: float) -> float:
-        """New target command; `newest` after an action of the watchdog without a new greeting."""
+        """Set and return the target command; refuse it after a watchdog action without a new greeting."""
         low, high = self._limits.lower, self._limits.upper
         if self._awaits_greeting and not self._link.greeted:
             self._awaits_greeting = abs(command - self._held) > self._limits.rate * self._dt
@@ -218,7 +217,7 @@ class SimulatedDevice:
         return command
 
     def _run_watchdog(self) -> None:
-        """Return to rest when the controller that moved the device has fallen silent."""
+        """Return the drive to rest after the controller has been silent for too long."""
         if math.isinf(self._silent):
             return
         self._silent += self._dt
@@ -285,11 +284,11 @@ def _open_log(settings: DeviceSettings) -> TextIO:
 M = TypeVar("M")
 
 
-_REMEMBERED = 50  # messages that may be replayed
+_REMEMBERED = 50  # stored messages for a replay
 _NS = 1e9
-_STANDING = ("freeze", "blocked", "dislodged")  # faults in which the angle is that of the moment before
+_STANDING = ("freeze", "blocked", "dislodged")  # faults that repeat the previous angle
 
-_TAKEN = 64  # datagrams taken off the socket in one call
+_TAKEN = 64  # datagrams read from the socket in one call
 
 Direction = Literal["readings", "commands"]
 FaultName = Literal[
@@ -312,7 +311,7 @@ _SENSOR = ("freeze", "blocked", "dislodged", "nan", "outlier", "stamp_jump", "ou
 
 
 class FaultSettings(Settings):
-    """One fault of the readings, or of the commands on their way to the device.
+    """Settings of one fault of the readings, or of the commands on their way to the device.
 
     Attributes:
         fault: `dropout` sends nothing; `delay` sends `delay_s` late; `jitter` up to `delay_s` late; `reorder` holds a
@@ -369,11 +368,11 @@ class FaultyLine(Generic[M]):
         self._count = 0
 
     def active(self, t_s: float) -> list[FaultSettings]:
-        """Active faults at `t_s` [s] after the first command."""
+        """Faults that are active at `t_s` [s] after the first command."""
         return [f for f in self._faults if f.start_s <= t_s < f.start_s + f.duration_s]
 
     def put(self, message: M, t_s: float) -> None:
-        """Take a message that is sent at `t_s` [s] after the first command."""
+        """Add a message that is sent at `t_s` [s] after the first command."""
         copies, due = [message], t_s
         for fault in self.active(t_s):
             if self._random.random() < fault.share:
@@ -397,7 +396,7 @@ class FaultyLine(Generic[M]):
         return self._random.uniform(0.0, abs(fault.delay_s)) if fault.fault == "jitter" else 0.0
 
     def _changed(self, fault: FaultSettings, message: M) -> list[M]:
-        """Messages that a fault makes of one message."""
+        """Messages that replace one message under a fault."""
         name = fault.fault
         if name in ("delay", "jitter"):
             return [message]
@@ -422,7 +421,7 @@ class FaultyReadings:
         self._line = FaultyLine([f for f in faults if not f.of_datagrams], self._random, self._changed_content)
 
     def put(self, message: Outgoing, t_s: float) -> None:
-        """Take a reading that is measured at `t_s` [s] after the first command."""
+        """Add a reading that is measured at `t_s` [s] after the first command."""
         self._line.put(message, t_s)
         if math.isfinite(message.angle) and not any(f.fault in _STANDING for f in self._line.active(t_s)):
             self._last = message.angle
@@ -448,9 +447,9 @@ class FaultyReadings:
 
 @final
 class FaultyDatagrams:
-    """Socket whose commands are lost, late, reordered, repeated or spoiled before the device gets them.
+    """Socket with fault injection: loss, delay, reordering, repetition or corruption of commands and readings.
 
-    Readings can be spoiled on their way out. Time counts from the first command.
+    Time counts from the first command.
     """
 
     def __init__(self, wire: Datagrams, faults: Sequence[FaultSettings], seed: int) -> None:
@@ -465,13 +464,13 @@ class FaultyDatagrams:
         self._arrived: deque[tuple[bytes, Peer]] = deque()
 
     def recvfrom(self, size: int) -> tuple[bytes, Peer]:
-        """The oldest datagram that has arrived and its sender; `BlockingIOError` where there is none."""
+        """Oldest datagram that has arrived, and its sender; `BlockingIOError` if there is none."""
         for _ in range(_TAKEN):
             try:
                 data, peer = self._wire.recvfrom(size)
             except BlockingIOError:
                 break
-            except ConnectionError:  # the answer to a datagram that nobody took
+            except ConnectionError:  # reply to an undeliverable datagram
                 continue
             self._begin(data)
             self._in.put((data, peer), self._elapsed_s())
@@ -488,7 +487,7 @@ class FaultyDatagrams:
         return len(data)
 
     def getsockname(self) -> Peer:
-        """Own address."""
+        """Address of this socket."""
         return self._wire.getsockname()
 
     def close(self) -> None:
@@ -503,7 +502,6 @@ class FaultyDatagrams:
         return 1e-9 * (time.monotonic_ns() - self._first_ns) if self._first_ns else -1.0
 
     def _changed_content(self, fault: FaultSettings, data: bytes) -> bytes:
-        """Change one byte at random."""
         del fault
         spoilt, place = bytearray(data), self._random.randrange(len(data))
         spoilt[place] ^= self._random.randrange(1, 256)

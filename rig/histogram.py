@@ -1,4 +1,4 @@
-"""Histograms of times that a control thread fills without allocating."""
+"""Histograms of times, filled by a control thread without memory allocation."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BINS = 400
 
 @dataclass(frozen=True)
 class TimingSummary:
-    """Statistics of one time; quantiles are upper edges of their bins, NaN without a sample.
+    """Statistics of one measured time; quantiles are upper edges of their bins, NaN without a sample.
 
     Attributes:
         mean_s, greatest_s: mean and greatest [s].

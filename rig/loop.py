@@ -1,4 +1,4 @@
-"""The control loop at a bench: absolute deadlines on a monotonic clock, a sequence of phases, a safe stop."""
+"""Control loop at a bench: absolute deadlines on a monotonic clock, a sequence of phases, a safe stop."""
 
 from __future__ import annotations
 
@@ -36,16 +36,16 @@ class RunOutcome:
     confirmed: bool  # whether the device has reported that it holds the safe command
     clipped: int  # commands limited by the gate
     unsent: int  # commands that the transport did not take
-    refused: int  # samples on which the sink raised
+    refused: int  # samples with an error of the sink
     faults: dict[str, int]  # samples by fault
     in_c: int = 0
     left_c: dict[str, int] = field(default_factory=dict)
 
 
 _S = 1e-9
-_DISCARD_ROUNDS = 25  # times 4096 readings
-_SLOW_NS = 300_000_000  # how far behind calls of the wire may put the loop
-_FAULTLESS = 5  # samples without a fault before others are taken in C
+_DISCARD_ROUNDS = 25  # batches of 4096 readings
+_SLOW_NS = 300_000_000  # greatest delay of the loop by transport calls
+_FAULTLESS = 5  # fault-free samples before the loop continues in C
 
 
 class Times(NamedTuple):
@@ -106,14 +106,14 @@ class ControlLoop:
         self._past_u: deque[float] = deque(maxlen=REMEMBERED)
         self._past_y: deque[float] = deque(maxlen=REMEMBERED)
         self._start_ns = self._woke_ns = self._boot_ns = self._deadline_ns = 0
-        self._wire_ns = self._behind_ns = 0  # spent in calls of the transport, and what it has cost in the end
+        self._wire_ns = self._behind_ns = 0  # duration of transport calls, and the resulting delay
         self._discarded = 0  # readings before the first sample
         self._failures = 0  # samples that have failed
         self._sequence = self._skipped = self._waited = self._commands = self._not_sent = self._refused = 0
         self._late = False
         self._faultless = 0  # samples in a row without a fault
         self._in_c, self._left_c = 0, Counter[str]()
-        self._refused_ns: int | None = None  # since when no command leaves
+        self._refused_ns: int | None = None  # start of the time without a sent command
         self._newest: Reading | None = None
         self._cause, self._stop_s, self._safe_s, self._confirmed = "", math.nan, math.nan, False
 
@@ -124,7 +124,7 @@ class ControlLoop:
 
     @property
     def lost(self) -> int:
-        """Measurements that were sent and never came."""
+        """Number of measurements that were sent and never arrived."""
         return max(0, self._intake.lost - self._discarded)
 
     def run(self, phases: Sequence[Phase], beat_ns: int = 0) -> RunOutcome:
@@ -144,7 +144,7 @@ class ControlLoop:
             going = self.sample(deadline)
         try:
             self._transport.stop(goodbye=self._confirmed)
-        except Exception:  # noqa: BLE001 - the run is over; there is nobody left to tell
+        except Exception:  # noqa: BLE001 - the run is over, and no recipient is left
             self._not_sent += 1
         return self.outcome()
 
@@ -158,7 +158,7 @@ class ControlLoop:
         self._boot_ns = self._clock.boot_ns()
 
     def due(self) -> int:
-        """Monotonic time of the next sample [ns]: the first deadline that has not passed by a whole sample."""
+        """Monotonic time of the next sample [ns]: the first deadline that is less than one sample in the past."""
         deadline = self._deadline_ns + self._dt_ns
         try:
             behind = self._clock.now_ns() - deadline
@@ -168,7 +168,7 @@ class ControlLoop:
         return deadline + max(0, behind // self._dt_ns) * self._dt_ns
 
     def sample(self, deadline: int) -> bool:
-        """One sample, due at monotonic time `deadline` [ns]; False after the last one."""
+        """Execute one sample, due at monotonic time `deadline` [ns]; return False after the last one."""
         self._advance_to(deadline)
         self._wire_ns = 0
         try:
@@ -185,7 +185,7 @@ class ControlLoop:
         )
 
     def _taken_in_c(self, deadline: int) -> int:
-        """Execute samples in C where that is possible; returns the deadline of the next sample in Python."""
+        """Execute samples in C if possible; return the deadline of the next sample in Python."""
         phase = self._phase
         compiled = None if phase is None or self._faultless < _FAULTLESS or self._flag.word.value else phase.compiled()
         if phase is None or compiled is None:
@@ -203,7 +203,7 @@ class ControlLoop:
                 self._book(sample, compiled.received(sample), decision)
                 if decision.finished:
                     self._finished()
-        except Exception as error:  # noqa: BLE001 - the loop must end at rest, from what the device says that it holds
+        except Exception as error:  # noqa: BLE001 - the loop must end at rest, from the reported command
             self._flag.set(cause_of(error))
             self._anchor.not_sent(self._clock.boot_ns())
         finally:
@@ -215,7 +215,7 @@ class ControlLoop:
         return int(view.deadline_ns)
 
     def _book(self, done: Any, raw: Sequence[tuple[bytes, int]], decision: Decision) -> None:
-        """Check and record a sample that was executed in C by the rules of Python; a fault ends the loop in C."""
+        """Check and record a sample executed in C by the rules of Python; a fault ends the loop in C."""
         self._in_c, self._wire_ns = self._in_c + 1, 0
         self._skip(done.skipped)
         readings = (self._transport.reading(*one) for one in raw)
@@ -243,7 +243,7 @@ class ControlLoop:
         self._boot_ns = boot
         seen = self._observe()
         stop = self._flag.cause or seen.dead
-        # What a slow reading has told is as old as the judgement; for a command it is one more delay.
+        # A slow reading is as old as its check; for a command it is one more delay.
         known = self._anchor.judge(seen, boot if self._gate.anchored else self._clock.boot_ns())
         if not known:
             return self._wait(woke, deadline, seen, stop)
@@ -253,7 +253,7 @@ class ControlLoop:
             seen.angle_deg, self._gate.last, self._late, skipped, seen.held, velocity, seen.frames, seen.shown_deg
         )
         if self._waited and isinstance(self._phase, SafeStop):
-            self._phase.begin(now, Past([], []))  # the way out starts where the device was found
+            self._phase.begin(now, Past([], []))  # the return motion starts at the present command
         self._waited = 0
         if stop := stop or self._anchor.moved:
             self._begin_stop(stop, now)
@@ -279,7 +279,7 @@ class ControlLoop:
         return True
 
     def _finished(self) -> None:
-        """End the phase; a return motion that follows is computed now, in the rest of the sample."""
+        """End the phase; a return motion that follows is computed in the rest of the sample."""
         self._phase = None
         if not self._rest:
             phase = self._to_safe("")
@@ -287,7 +287,7 @@ class ControlLoop:
             self._phase = phase
 
     def _wait(self, woke: int, deadline: int, seen: Observation, stop: str) -> bool:
-        """Send nothing in this sample while the held command is unknown; False where the run is given up."""
+        """Send nothing in this sample while the held command is unknown; return False if the run is given up."""
         over = self._anchor.given_up or (stop if not self._commands else "")
         held = seen.held if math.isfinite(seen.held) else self._gate.last
         if math.isfinite(held):
@@ -305,7 +305,7 @@ class ControlLoop:
         return not (over and self._given_up(over, stop))
 
     def _given_up(self, over: str, stop: str) -> bool:
-        """Record that nothing more is sent, with the cause of the stop and its obstacle; always True."""
+        """Record the end of all sending with the cause of the stop and its obstacle; always return True."""
         if not self._cause:
             self._cause, self._stop_s = stop or over, _S * (self._clock.now_ns() - self._start_ns)
         if over not in self._cause:
@@ -313,10 +313,7 @@ class ControlLoop:
         return True
 
     def _failed(self, cause: str, deadline: int) -> bool:
-        """Record a failed sample: an indispensable part has raised, so nothing was decided or nothing was sent.
-
-        The next sample stops safely. Where such samples add up to `stall_s`, the device is left to its watchdog: False.
-        """
+        """Record a sample in which an indispensable part has raised; return False once such samples reach `stall_s`."""
         self._flag.set(cause)
         self._failures += 1
         with suppress(Exception):  # the clock itself, or the book-keeping
@@ -331,7 +328,7 @@ class ControlLoop:
 
     def _remember(self, held: float, seen: Observation) -> None:
         """Append the sample to the history for a controller that starts later."""
-        if isinstance(self._phase, AwaitStart):  # the device rests: however long that lasts, it is one sample
+        if isinstance(self._phase, AwaitStart):  # the device rests: a wait of any length counts as one sample
             self._past_u.clear()
             self._past_y.clear()
         self._past_u.append(held)
@@ -342,7 +339,6 @@ class ControlLoop:
         return Times(woke, deadline, self._clock.now_ns(), self._clock.wall_ns())
 
     def _conclude(self, times: Times, seen: Observation, decision: Decision, u: float, faults: tuple[str, ...]) -> None:
-        """Count and record the sample."""
         period = times.woke - self._woke_ns
         if self._sequence:
             self.timings.period.add(_S * period)
@@ -366,10 +362,7 @@ class ControlLoop:
         self._sequence += 1
 
     def _is_slow(self, sent: bool) -> bool:
-        """Whether the transport took longer than a sample; requests a stop where it has delayed the loop too far.
-
-        Quicker samples make up for slow ones where a command has left in them: a loaded machine is no slow wire.
-        """
+        """Whether the transport took longer than a sample; a too large accumulated delay requests a stop."""
         over, most = self._wire_ns - self._dt_ns, min(self._stall_ns, _SLOW_NS)
         if over > 0 or sent:
             self._behind_ns = max(0, self._behind_ns + min(over, most // 3))
@@ -378,10 +371,7 @@ class ControlLoop:
         return over > 0
 
     def _drain(self) -> None:
-        """Discard readings that queued before the first sample, all but the newest; for `stall_s` at most.
-
-        What cannot be read meanwhile is old when it is read, and is judged by its age.
-        """
+        """Discard readings queued before the first sample, except the newest; for `stall_s` at most."""
         try:
             until = self._clock.now_ns() + self._stall_ns
             for _ in range(_DISCARD_ROUNDS):
@@ -394,7 +384,7 @@ class ControlLoop:
             self._flag.set(cause_of(error))
 
     def _observe(self) -> Observation:
-        """Read and check measurements; a transport that fails is a missing angle, a check that fails stops the run."""
+        """Read and check measurements; a failed transport gives no angle, a failed check stops the run."""
         taken = self._reader.take(spared=bool(self._cause) and self._gate.anchored)
         self._wire_ns += taken.took_ns
         readings = taken.readings if self._newest is None else [self._newest, *taken.readings]
@@ -412,7 +402,7 @@ class ControlLoop:
         return replace(seen, faults=(*seen.faults, *faults)) if faults else seen
 
     def _decide(self, now: PhaseInput) -> Decision:
-        """Decision of the present phase; that of the safe stop where the phase fails."""
+        """Decision of the present phase; that of the safe stop if the phase fails."""
         for _ in range(3):
             try:
                 if self._phase is None:
@@ -427,10 +417,9 @@ class ControlLoop:
             if not wrong or isinstance(self._phase, SafeStop):
                 return decision
             self._begin_stop(wrong, now)
-        return Decision(now.held, "stop", "safe stop: held")  # out of reach: SafeStop never raises
+        return Decision(now.held, "stop", "safe stop: held")  # unreachable: SafeStop never raises
 
     def _begin_stop(self, cause: str, now: PhaseInput) -> None:
-        """Begin the safe stop, once."""
         if isinstance(self._phase, SafeStop) and self._phase.cause:
             return
         self._cause, self._stop_s = cause, _S * (self._clock.now_ns() - self._start_ns)
@@ -440,13 +429,13 @@ class ControlLoop:
         self._phase = phase
 
     def _drop_phases(self) -> None:
-        """Drop the remaining phases where the regular end is requested; the return motion is next."""
+        """Drop the remaining phases if the regular end is requested, so that the return motion is next."""
         if self._flag.ending and not isinstance(self._phase, SafeStop):
             self._rest.clear()
             self._phase = None
 
     def _send(self, u: float) -> bool:
-        """Send a command; False where it was not sent."""
+        """Send a command; return False if it was not sent."""
         if not self._anchor.in_time(self._clock.boot_ns()):
             self._not_sent += 1
             return False
@@ -463,14 +452,13 @@ class ControlLoop:
         return True
 
     def _command_sent(self, u: float, at: int) -> None:
-        """Book a command that was sent."""
         self._gate.sent(u, at)
         self._anchor.sent()
         self._commands += 1
         self._refused_ns = None
 
     def _command_refused(self, now: int) -> None:
-        """Request a stop where the transport has accepted no command for too long."""
+        """Request a stop if the transport has accepted no command for too long."""
         self._not_sent += 1
         self._anchor.not_sent(now)
         self._refused_ns = now if self._refused_ns is None else self._refused_ns
@@ -478,12 +466,11 @@ class ControlLoop:
             self._flag.set(f"no command has left for {_S * (now - self._refused_ns):.2f} s")
 
     def _advance_to(self, deadline: int) -> None:
-        """Set the deadline of the next sample; those before it have passed wholly."""
+        """Set the deadline of the next sample and skip the samples that have passed wholly."""
         self._skip(max(0, (deadline - self._deadline_ns) // self._dt_ns - 1))
         self._deadline_ns = deadline
 
     def _skip(self, samples: int) -> None:
-        """Count samples that have passed wholly."""
         self._skipped = samples
         self.timings.skipped += samples
         self._sequence += samples
@@ -512,12 +499,12 @@ class ControlLoop:
 
 
 _SHARE = 4  # a quarter of a sample: judging may take as long once more, so half of it is left to decide and to send
-_MOST = 4096  # readings, where the clock stands still meanwhile
+_MOST = 4096  # readings, in case the clock stands still
 _SPARED_NS, _SLOW_FOR_NS = 800_000_000, 3_000_000_000
 
 
 class Taken(NamedTuple):
-    """Readings in the order of arrival, the name of the error, and the time that reading took [ns]."""
+    """Readings in the order of arrival, the name of the error, and the duration of reading [ns]."""
 
     readings: list[Reading]
     fault: str
@@ -526,22 +513,22 @@ class Taken(NamedTuple):
 
 @final
 class Reader:
-    """Reads the transport until it is empty or a quarter of a sample is over; errors are named, not raised.
+    """Reader of the transport until it is empty or a quarter of a sample is over; errors are named, not raised.
 
-    At least one call is made. A call that takes longer cannot be interrupted, and no other one follows it. The oldest
-    reading comes first, also after such a call, so that a backlog shows as age. `dt_ns` is the sample time [ns].
+    At least one call is made. A call that takes longer cannot be interrupted, and is the last one. The oldest
+    reading comes first, also after such a call, so that a backlog appears as age. `dt_ns` is the sample time [ns].
     """
 
     def __init__(self, transport: Transport, clock: Clock, dt_ns: int) -> None:
         self._transport, self._clock, self._dt_ns = transport, clock, dt_ns
-        self._slow_ns: int | None = None  # when reading last took longer than a sample
+        self._slow_ns: int | None = None  # time of the last reading that took longer than a sample
         self._read_ns = 0
 
     def take(self, spared: bool = False) -> Taken:
-        """Readings that have arrived.
+        """Return the readings that have arrived.
 
-        With `spared`, a wire whose reading lately took longer than a sample is left to the commands for most of the
-        time: it is read every 0.8 s.
+        With `spared`, a wire whose reading lately took longer than a sample is read only every 0.8 s, so that most
+        of the time remains for commands.
         """
         now = self._clock.now_ns()
         slow = self._slow_ns is not None and now - self._slow_ns < _SLOW_FOR_NS
@@ -554,7 +541,7 @@ class Reader:
         return taken
 
     def within(self, budget_ns: int) -> Taken:
-        """Readings that can be read within a time [ns]; none in a negative one."""
+        """Return the readings that can be read within a time [ns]; none for a negative time."""
         readings: list[Reading] = []
         began = now = self._clock.now_ns()
         fault = ""

@@ -24,7 +24,7 @@ _BOOT: int | None = getattr(time, "CLOCK_BOOTTIME", None)  # Linux
 
 
 class Clock(Protocol):
-    """Source of time."""
+    """Interface of a source of time."""
 
     def now_ns(self) -> int:
         """Monotonic time [ns]."""
@@ -39,13 +39,13 @@ class Clock(Protocol):
         ...
 
     def wait_until(self, deadline_ns: int) -> None:
-        """Return at the deadline, or at once where it has passed."""
+        """Wait until the deadline; return at once if it has passed."""
         ...
 
 
 @final
 class MonotonicClock(Clock):
-    """The system's monotonic clock: sleep to `spin_s` [s] before the deadline, then spin; 0 never spins."""
+    """Monotonic clock of the system: sleep until `spin_s` [s] before the deadline, then spin; 0 never spins."""
 
     def __init__(self, spin_s: float = 0.0005) -> None:
         self._spin_ns = round(1e9 * spin_s)
@@ -63,7 +63,7 @@ class MonotonicClock(Clock):
         return time.time_ns()
 
     def wait_until(self, deadline_ns: int) -> None:
-        """Sleep, then spin; the rest of the time is computed anew after every sleep, so no error adds up."""
+        """Sleep, then spin; the remaining time is computed anew after every sleep, so that no error accumulates."""
         while (left := deadline_ns - time.monotonic_ns()) > self._spin_ns:
             time.sleep(1e-9 * (left - self._spin_ns))
         while time.monotonic_ns() < deadline_ns:
@@ -72,7 +72,7 @@ class MonotonicClock(Clock):
 
 @final
 class SimulatedClock(Clock):
-    """Time that passes by waiting alone, without a date, so that a computed device is as fast as it computes."""
+    """Simulated clock that advances only by waiting, so that a computed device is not slowed to real time."""
 
     def __init__(self) -> None:
         self._ns = 1_000_000_000
@@ -82,11 +82,11 @@ class SimulatedClock(Clock):
         return self._ns
 
     def boot_ns(self) -> int:
-        """The same [ns]."""
+        """Same time as `now_ns` [ns]."""
         return self._ns
 
     def wall_ns(self) -> int:
-        """The same [ns]."""
+        """Same time as `now_ns` [ns]."""
         return self._ns
 
     def wait_until(self, deadline_ns: int) -> None:
@@ -148,7 +148,7 @@ def scheduled(settings: SchedulingSettings) -> Iterator[list[str]]:
 def control_process(settings: RealtimeSettings) -> Iterator[list[str]]:
     """Set up the process for the control loop, and restore it; yields the lines of `scheduled`.
 
-    Existing objects are frozen and the collector is off, so that nothing is collected in the loop; one BLAS thread.
+    Existing objects are frozen and the garbage collector is off during the loop; BLAS uses one thread.
     """
     stack = ExitStack()
     notes = stack.enter_context(scheduled(settings))
@@ -217,7 +217,7 @@ def _schedule(priority: int, notes: list[str], undo: list[Callable[[], object]])
 
 
 def _lifted(thread: threading.Thread, priority: int) -> Callable[[], object]:
-    """Schedule another thread of the interpreter like the loop but after it; returns how to restore it.
+    """Schedule another interpreter thread below the loop under SCHED_FIFO; return how to restore it.
 
     A thread under normal scheduling may lose its core while it holds the interpreter's lock, and the loop would wait.
     """

@@ -1,4 +1,4 @@
-"""A run on a device: first contact, control loop, safe stop, latch; its motions are given as phases."""
+"""Run on a device: first contact, control loop, safe stop, latch; the motions are given as phases."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ _PAUSE_NS = 1_000_000
 
 Note = Callable[[str], None]
 
-_REPEATS = 5  # of the safe command
-_PATIENCE_S = 1.0  # how long it is sent to a device that does not say that it holds it
-_TOLERANCE = 0.01  # of the range: how far what a device says it holds may lie beside what was sent, where none is set
+_REPEATS = 5  # transmissions of the safe command
+_PATIENCE_S = 1.0  # duration of sending it to a device that does not report it
+_TOLERANCE = 0.01  # default deviation of the reported from the sent command, as a share of the range
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class BenchResult:
     outcome: RunOutcome  # how it ended
     timings: Timings  # period, execution, jitter, misses
     wire: Mapping[str, int]  # messages rejected by the transport, by cause
-    lost: int  # measurements that were sent and never came
+    lost: int  # measurements that were sent and never arrived
     notes: tuple[str, ...]  # what the system did not permit
 
     def as_dict(self) -> dict[str, object]:
@@ -131,7 +131,7 @@ def control_loop(
     stays: Callable[[], bool] = lambda: False,
     closed_loop: bool = False,
 ) -> ControlLoop:
-    """The control loop of a bench with its sensor checks, motion watch and command gate: the only way to move a device.
+    """Control loop of a bench with its sensor checks, motion watch and command gate: the only way to move a device.
 
     Args:
         safe: target of a stop, in place of the bench's `safe_command`; NaN rests where it is, see `SafeStop`.
@@ -151,7 +151,7 @@ def control_loop(
         patience = max(_REPEATS, round(_PATIENCE_S / dt_s))
         return SafeStop(way, safe, tolerance, cause, patience=patience, stays=stays)
 
-    for velocity in (0.0, ramps.velocity_per_s, limits.rate):  # each way out has been gone once before it is in a hurry
+    for velocity in (0.0, ramps.velocity_per_s, limits.rate):  # computed once in advance, to warm up
         with suppress(TrajectoryError):
             way(contact.held, velocity)
     gate = Gate(limits, dt_s)
@@ -163,13 +163,13 @@ def control_loop(
         watch = MotionWatch(settings.plausibility, span, sensor.upper_deg - sensor.lower_deg, closed_loop)
     now = clock.now_ns()
     intake = Intake(sensor, now, watch)
-    with suppress(Exception):  # what nobody can judge is judged in the loop, which stops then
+    with suppress(Exception):  # an error here occurs in the loop again, which then stops
         intake.judge([contact.seen_at(now)], now, math.nan)
     return ControlLoop(clock, transport, intake, gate, anchor, dt_s, samples, to_safe, flag, sensor.dead_after_s)
 
 
 def _open_latched(latch: Latch, sink: Callable[[], Sink]) -> Sink:
-    """Latch the run, then open its recording: a run that cannot be latched leaves no folder."""
+    """Set the latch, then open the recording, so that a run that cannot be latched leaves no folder."""
     latch.set(RUNNING)
     try:
         return sink()
@@ -194,7 +194,7 @@ def _leave_files(result: BenchResult, folder: Path) -> None:
 
 
 def reset_latch(settings: BenchSettings) -> None:
-    """Release the latch of a stopped device, after a person has inspected the device.
+    """Release the latch of a stopped device after a person has inspected the device.
 
     Raises:
         ConfigError: if another program controls the device now.
@@ -204,7 +204,7 @@ def reset_latch(settings: BenchSettings) -> None:
 
 
 def first_contact(settings: BenchSettings, transport: Transport, clock: Clock, flag: StopFlag) -> DeviceContact:
-    """Wait until the device answers and accepts commands of this controller; nothing is moved.
+    """Wait until the device answers and accepts commands of this controller, without any motion.
 
     Raises:
         ConfigError: if no plausible angle comes in time, the device listens to another controller, the held command is
@@ -227,25 +227,25 @@ def first_contact(settings: BenchSettings, transport: Transport, clock: Clock, f
 
 
 _GREET_NS = 100_000_000
-_ENOUGH = 3  # plausible angles before anything is believed
+_ENOUGH = 3  # number of plausible angles for a first contact
 
 
 @dataclass(frozen=True)
 class DeviceContact:
     """State of a device that has answered: held command and newest reading."""
 
-    held: float  # the command that it holds, as it says or as `start_command` does
-    newest: Reading  # the loop keeps half a sample's distance from its receipt, and goes by its time of flight
+    held: float  # held command, as reported or by `start_command`
+    newest: Reading  # the loop is timed half a sample after its receipt
 
     @property
     def reports_held(self) -> bool:
-        """Whether the device reports the command that it holds."""
+        """Whether the device reports its held command."""
         return math.isfinite(self.newest.held)
 
     def seen_at(self, now_ns: int) -> Reading:
-        """The newest reading moved to the present, without its angle: same session, sequence and time of flight.
+        """Newest reading shifted to the present, without its angle: same session, sequence and time of flight.
 
-        Readings that queued since then are late relative to it, however long they lay.
+        Readings queued since then are therefore late, however long they waited.
         """
         later_ns, newest = now_ns - self.newest.received_ns, self.newest
         return replace(newest, angle_deg=math.nan, sent_ns=newest.sent_ns + later_ns, received_ns=now_ns)
@@ -253,9 +253,9 @@ class DeviceContact:
 
 @final
 class FirstContact:
-    """Judges readings until the device has answered and listens; meanwhile it is greeted ten times a second.
+    """Assessment of readings until the device has answered and listens, with a greeting ten times a second.
 
-    `run` waits for it, and a node asks in each period.
+    `run` blocks until then; a ROS 2 node calls it in each period.
     """
 
     def __init__(self, settings: BenchSettings, transport: Transport) -> None:
@@ -265,7 +265,7 @@ class FirstContact:
         self._angle, self._listens, self._greeted_ns = math.nan, True, 0
 
     def judge(self, reading: Reading) -> DeviceContact | None:
-        """State of the device after enough plausible readings, None until then.
+        """State of the device after enough plausible readings; None until then.
 
         Raises:
             ConfigError: if the held command is unknown, differs from `start_command`, or lies beyond the limits.
@@ -310,7 +310,7 @@ def _start(settings: BenchSettings, held: float) -> float:
     if wanted is not None and abs(held - wanted) > 1e-3 * (settings.limits.upper - settings.limits.lower):
         raise ConfigError(f"{settings.name}: the device holds command {held:.6g}, expected start_command {wanted:.6g}")
     low, high = settings.limits.lower, settings.limits.upper
-    slack = 1e-9 * (high - low)  # of a conversion of units
+    slack = 1e-9 * (high - low)  # rounding of a unit conversion
     if not low - slack <= held <= high + slack:
         raise ConfigError(
             f"start: the device holds command {held:.6g}, expected one within {low} to {high}; move it there by hand "

@@ -2,10 +2,10 @@
 
     python lab/benchmarks/bare_loop.py [--rate 250] [--seconds 120] [--busy 0.001] [--priority 80] [--out WAKE_UPS.npy]
 
-Whatever wakes up late here is late without any work of ours: other processes, the hypervisor, the kernel. With `--busy`
-it spins for so long [s] in every period, and what counts is how late it is done: a machine that takes the core away
-shows only while there is something to take it from. Runs for so many seconds, or until SIGTERM; with a priority under
-SCHED_FIFO and with its memory locked. Exit code 1 if a period was missed.
+Late wake-ups here come from other processes, the hypervisor or the kernel. With `--busy` the loop spins for that time
+[s] in every period, and the lateness of the end of spinning counts, since a hypervisor takes only busy cores away.
+It runs for the given seconds or until SIGTERM; with a priority, under SCHED_FIFO and with locked memory. Exit code 1
+if a period was missed.
 """
 
 from __future__ import annotations
@@ -26,11 +26,10 @@ from hystmpc.trials.types import Vec
 
 @dataclass(frozen=True)
 class Floor:
-    """What the sleeping loop saw.
+    """Lateness statistics of the sleeping loop.
 
     Attributes:
-        wake_ups: how many.
-        late: of those, how many came later than a period after they were due.
+        late: number of those later than one period.
         p99_s, greatest_s: lateness [s]; NaN without any wake-up.
     """
 
@@ -41,10 +40,7 @@ class Floor:
 
 
 def sleep_on(rate_hz: float, seconds: float, flag: StopFlag, busy_s: float = 0.0) -> Vec:
-    """Wall clock [s] and lateness [s] of every wake-up (N, 2), or of the end of what it was busy with.
-
-    Periods that pass meanwhile are left out.
-    """
+    """Wall clock [s] and lateness [s] of every wake-up or end of spinning (N, 2); missed periods are skipped."""
     clock, period_ns, busy_ns = MonotonicClock(spin_s=0.0), round(1e9 / rate_hz), round(1e9 * busy_s)
     seen = array("d")
     start = deadline = clock.now_ns()
@@ -61,7 +57,7 @@ def sleep_on(rate_hz: float, seconds: float, flag: StopFlag, busy_s: float = 0.0
 
 
 def floor(wake_ups: Vec, rate_hz: float) -> Floor:
-    """The figures of wake-ups (N, 2)."""
+    """Statistics of wake-ups (N, 2)."""
     lateness = wake_ups[:, 1]
     if not lateness.size:
         return Floor(0, 0, float("nan"), float("nan"))
@@ -70,7 +66,7 @@ def floor(wake_ups: Vec, rate_hz: float) -> Floor:
 
 
 def main() -> int:
-    """Sleep, and print one line."""
+    """Run the loop and print one line."""
     given = asked(
         __doc__,
         rate=(250.0, "periods a second"),

@@ -1,13 +1,13 @@
-"""How long a diagnosis takes: ten trials of 60 s at 25 Hz, two effects, the whole library; the goal is 30 s.
+"""Duration of a diagnosis: ten trials of 60 s at 25 Hz, two effects, the whole library; the goal is 30 s.
 
     python lab/benchmarks/diagnosis_time.py [--device rod] [--model pi] [--trials 10] [--seconds 60] [--seed 1]
         [--repeat 2]
     python lab/benchmarks/diagnosis_time.py --trials 100 --seconds 600      # minutes, below 2 GB
 
 The device is one of the blind check (capstan, dahl or rod), with creep in its tendon and a slow servo; its simulator is
-identified before they are there. Recording and identification do not count. The first diagnosis of an installation
-compiles its kernels, which takes minutes and is kept on disk: `--repeat 2` shows one with and one without. The peak of
-memory is that of the process, recording and identification among it.
+identified before these effects are added. Recording and identification do not count. The first diagnosis of an
+installation compiles its kernels, which takes minutes and is kept on disk: `--repeat 2` shows one with and one without.
+The peak of memory is that of the process, recording and identification included.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _NOTES = {"checking the trials": CHECK, "measuring the gap on the final trials":
 
 
 class Laps:
-    """Wall and processor time of each step of a diagnosis, by the notes of its progress."""
+    """Wall and processor time of each step of a diagnosis, measured by its progress notes."""
 
     def __init__(self) -> None:
         self.wall: dict[str, float] = {}
@@ -53,7 +53,7 @@ class Laps:
         self._step, self._since = CHECK, (time.perf_counter(), time.process_time())
 
     def __call__(self, done: int, total: int, note: str = "") -> None:
-        """As the diagnosis tells its progress."""
+        """Callback for the progress of the diagnosis."""
         del done, total
         now = time.perf_counter(), time.process_time()
         for kept, before, after in zip((self.wall, self.processor), self._since, now, strict=True):
@@ -63,7 +63,7 @@ class Laps:
 
 
 def commands(count: int, seconds: float, random: np.random.Generator) -> list[Vec]:
-    """Commands (T,) [mm] of all kinds, each as long as asked for; the last two repeat the first two."""
+    """Commands (T,) [mm] of all kinds with the given duration; the last two repeat the first two."""
     made: list[Vec] = []
     for k in range(max(count - 2, 1)):
         parts: list[Vec] = []
@@ -84,7 +84,7 @@ def recorded(args: argparse.Namespace) -> tuple[list[Trial], Simulator]:
 
 
 def show(console: Console, laps: Laps, title: str) -> None:
-    """The table of one diagnosis."""
+    """Print the table of one diagnosis."""
     wall = sum(laps.wall.values())
     rows = [(step, f"{laps.wall[step]:.2f}", f"{laps.processor[step]:.2f}") for step in laps.wall]
     table(

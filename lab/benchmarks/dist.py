@@ -28,7 +28,7 @@ _FOLDER, _PROGRAM, _FILE = 0o755, 0o755, 0o644
 
 
 def repacked(sdist: bytes, epoch: int) -> bytes:
-    """The same files in order of their names, all of one time, without an owner, with plain permissions."""
+    """Repack an sdist with sorted file names, one time stamp, no owner and plain permissions."""
     packed = io.BytesIO()
     with (
         tarfile.open(fileobj=io.BytesIO(sdist)) as old,
@@ -44,7 +44,7 @@ def repacked(sdist: bytes, epoch: int) -> bytes:
 
 
 def build(clone: Path, epoch: int) -> dict[str, bytes]:
-    """Name and content of the sdist and of the wheel made from it."""
+    """Build sdist and wheel; return the name and content of each."""
     before = os.umask(0o022)
     try:
         subprocess.run(["git", "clone", "--quiet", ROOT, clone], check=True)

@@ -3,11 +3,11 @@
     python lab/benchmarks/endurance.py [--steps 100000] [--rate 25 --rate 250] [--model builtin:lstm] [--realtime]
 
 Steps follow each other at once, each against the deadline of its rate: 40 ms at 25 Hz, 4 ms at 250 Hz. With
-`--realtime` they wait for the monotonic clock, and a step that ends after its period is a miss however it came about.
+`--realtime` they wait for the monotonic clock, and every step that ends after its period is a miss.
 A planner sends the tip from one random target to the next. Exit code 1 if a deadline is missed, memory grows or exceeds
-300 MB, the import takes longer than 1 s or the first command longer than 3 s. Run it on a machine that does nothing
-else. What such a machine does to anybody is measured in the same run: every tenth second belongs to a bare loop that
-spins, allocates nothing and calls nothing, and counts how often it was left standing for longer than a period.
+300 MB, the import takes longer than 1 s or the first command longer than 3 s. Run it on an idle machine. The stalls of
+the machine are measured in the same run: every tenth second a bare loop spins without allocations or calls, and counts
+the interruptions longer than a period.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from hystmpc.sim.plants.simulated import SimulatedPlant
 RESIDENT_MB, GROWTH_MB, IMPORT_S, FIRST_COMMAND_S = 300.0, 5.0, 1.0, 3.0
 _TARGETS_DEG = (35.0, 75.0)
 _EVERY_S, _WATCHED_S = 10.0, 1.0  # between two looks at the machine, and how long a look takes
-_WARM = 100  # steps before the clock starts, and before memory is first looked at
+_WARM = 100  # steps before the first measurement of time and memory
 _START = """
 import time
 begin = time.perf_counter()
@@ -48,16 +48,16 @@ print(imported - begin, time.perf_counter() - begin)
 
 @dataclass(frozen=True)
 class Endured:
-    """One run at one rate.
+    """Result of one run at one rate.
 
     Attributes:
-        rate_hz, steps: the rate that gives the deadline, and how many steps were taken.
+        rate_hz, steps: rate that gives the deadline, and number of steps.
         misses: steps that took, or in real time ended, longer than a period.
-        median_s, p99_s, greatest_s: of the step alone.
-        stalls, watched_s, longest_stall_s: how often a bare loop beside it stood still for longer than a period, in how
-            many seconds of spinning, and the longest time.
-        resident_mb, growth_mb: memory at the end, and what it has grown by since the first steps.
-        sources: steps by the fallback level that gave the command.
+        median_s, p99_s, greatest_s: duration of the step alone.
+        stalls, watched_s, longest_stall_s: number of interruptions of a bare loop longer than a period, seconds of
+            spinning, and the longest interruption.
+        resident_mb, growth_mb: memory at the end, and its growth since the first steps.
+        sources: number of steps by fallback level of the command.
     """
 
     rate_hz: float
@@ -75,12 +75,12 @@ class Endured:
 
     @property
     def passed(self) -> bool:
-        """No deadline missed, memory small and flat."""
+        """Whether no deadline was missed and memory stayed small and constant."""
         return self.misses == 0 and self.resident_mb <= RESIDENT_MB and self.growth_mb <= GROWTH_MB
 
 
 def stalls(period: float, seconds: float) -> list[float]:
-    """Times for which a bare loop stood still for longer than a period, within so many seconds of spinning [s]."""
+    """Interruptions of a bare loop longer than a period, within the given seconds of spinning [s]."""
     found = list[float]()
     begin = last = time.perf_counter()
     while last - begin < seconds:
@@ -92,7 +92,7 @@ def stalls(period: float, seconds: float) -> list[float]:
 
 
 def resident_mb() -> float:
-    """Resident memory of this process [MB]; its greatest so far where the system tells no more."""
+    """Resident memory of this process [MB]; its maximum so far if the system reports no more."""
     status = Path("/proc/self/status")
     if status.exists():
         line = next(text for text in status.read_text(encoding="ascii").splitlines() if text.startswith("VmRSS"))
@@ -103,7 +103,7 @@ def resident_mb() -> float:
 
 
 def endure(settings: dict[str, Any], rate_hz: float, steps: int, realtime: bool) -> Endured:
-    """Run the controller for the steps, on a simulated device, with a planner that sets targets."""
+    """Run the controller for the given steps on a simulated device, with a planner that sets targets."""
     tip = TipController.from_config(settings)
     device, rng = SimulatedPlant(load_simulator(library_file("tendon-catheter")), seed=1), np.random.default_rng(0)
     y, period = device.reset(), 1.0 / rate_hz
@@ -116,7 +116,7 @@ def endure(settings: dict[str, Any], rate_hz: float, steps: int, realtime: bool)
                 tip.set_waypoints([float(rng.uniform(*_TARGETS_DEG))], [float(rng.uniform(0.0, 1.0))])
             if k == 0:
                 gc.collect()
-                gc.freeze()  # as the loop at the bench does: what lives by now is never looked through again
+                gc.freeze()  # as the loop at the bench: existing objects are exempt from garbage collection
                 before, due = resident_mb(), time.monotonic()
                 looked = due
             if time.monotonic() - looked > _EVERY_S:
@@ -136,7 +136,7 @@ def endure(settings: dict[str, Any], rate_hz: float, steps: int, realtime: bool)
             due += period
             if realtime and time.monotonic() > due:
                 late += 1
-                due = time.monotonic()  # a miss is counted once, the steps after it are on time again
+                due = time.monotonic()  # a miss is counted once; later steps are on time
     misses = late if realtime else int(np.sum(took > period))
     return _summary(rate_hz, took, misses, (stood, watched * _WATCHED_S), before, sources)
 
@@ -185,7 +185,7 @@ def _row(run: Endured) -> tuple[object, ...]:
 
 
 def main() -> int:
-    """Print one row a rate and the start times; 0 if all goals are reached."""
+    """Print one row a rate and the start times; return 0 if all goals are reached."""
     given = asked(
         __doc__,
         steps=(100_000, "steps a rate"),

@@ -43,7 +43,7 @@ GRU: dict[str, dict[str, Any]] = {"gru": dict(PLAIN), "gru-that-learns": {}}
 
 @final
 class Recorder(Library):
-    """A library whose calls are recorded."""
+    """Library wrapper that records all calls."""
 
     def __init__(self, export: ControllerExport, folder: Path, single: bool, options: Sequence[str]) -> None:
         super().__init__(export, folder, single, options)
@@ -63,7 +63,7 @@ class Recorder(Library):
         return answer
 
     def calls(self) -> Mat:
-        """The calls, one a row: kind, measurement, command, reference; zeros where there is none of these."""
+        """Recorded calls, one a row: kind, measurement, command, reference; zeros for missing values."""
         width = max(len(call) for call in self._calls)
         return np.array([call + [0.0] * (width - len(call)) for call in self._calls])
 
@@ -89,7 +89,7 @@ def replay(export: ControllerExport, calls: Mat, folder: Path, options: Sequence
 
 @cache
 def _file() -> str:
-    """A GRU with two layers of 64, which stays until the end."""
+    """Path of a temporary GRU file with two layers of 64, which is kept until the end."""
     return small_network("gru", 64, 2, Path(tempfile.mkdtemp()))
 
 
@@ -98,7 +98,7 @@ def _gru(controller: dict[str, Any]) -> tuple[dict[str, Any], float]:
 
 
 def _say(name: str, found: Compared, times: Mat, export: ControllerExport) -> None:
-    """Three lines of a case; `times`: time of every step in every repetition of the program [us]."""
+    """Print three lines of a case; `times`: time of every step in every repetition of the program [us]."""
     steps, least = found.c.size, times.min(axis=0)
     off = np.abs(found.python - found.c)
     python_us, c_us, program_us = 1e6 * found.python_s / steps, 1e6 * found.c_s / steps, float(least.mean())
@@ -117,7 +117,7 @@ def _say(name: str, found: Compared, times: Mat, export: ControllerExport) -> No
 
 
 def main() -> None:
-    """Three lines a case."""
+    """Print three lines a case."""
     given = asked(
         __doc__,
         steps=100_000,

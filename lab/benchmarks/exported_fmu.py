@@ -20,7 +20,7 @@ from tests.codegen.test_fmu import PLANTS, plant_of
 
 
 def main() -> None:
-    """One line a simulator, then the greatest of all."""
+    """Print one line a simulator, then the maximum over all."""
     chosen = asked(__doc__, case={"choices": list(PLANTS), "action": "append"}).case or PLANTS
     worst = dict.fromkeys(VERSIONS, 0.0)
     for name in chosen:

@@ -1,13 +1,13 @@
-"""Fault injection: every controller through random faults, counting exceptions and violated limits; both must be none.
+"""Fault injection into every controller, with counts of exceptions and violated limits, which both must be zero.
 
     python lab/benchmarks/faults.py [--steps 1000000] [--seed 0]
 
 Faults of the measurement: not a number, infinite, no number at all, outlier, stale, missing for a while. Of frames:
-late, out of order, of the future, far too old, taken at no time at all; a frame that is refused is no exception. Of the
-planner: targets out of reach, references that make no sense, functions that raise, stops, resets. Of model and solver:
-exceptions, predictions and Jacobians that are not finite or too large for the quadratic program. Of time: samples in
-which no step is taken, the device holding its command. Faults come alone, in bursts and together. The device knows
-nothing of all this: it is the model with parameters off by a fifth.
+late, out of order, of the future, far too old, without a time of exposure; a refused frame is no exception. Of the
+planner: targets out of reach, invalid references, functions that raise, stops, resets. Of model and solver:
+exceptions, predictions and Jacobians that are not finite or too large for the quadratic program. Of time: samples
+without a step, in which the device holds its command. Faults come alone, in bursts and together. The device is
+unaffected: it is the model with parameters off by a fifth.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ _EPISODE = 200  # steps between rests
 
 @dataclass
 class Tally:
-    """What happened to one controller."""
+    """Counts of the events of one controller."""
 
     steps: int = 0
     violations: int = 0
@@ -73,7 +73,7 @@ class Tally:
 
 
 class Sick(Predictor):
-    """A model that raises or answers with values that are not finite while `sickness` names how."""
+    """Model that raises or returns values that are not finite, as selected by `sickness`."""
 
     def __init__(self, inner: Predictor) -> None:
         self.inner, self.dt, self.command_range = inner, inner.dt, inner.command_range
@@ -104,7 +104,7 @@ class Sick(Predictor):
 
 
 class SickInverse(Inverse):
-    """An inverse that fails with its model."""
+    """Inverse that fails together with its model."""
 
     def __init__(self, inner: Inverse, model: Sick) -> None:
         self.inner, self.model = inner, model
@@ -115,7 +115,7 @@ class SickInverse(Inverse):
 
 
 class Injector:
-    """Random faults, seeded; about every second step has one."""
+    """Random faults from a seed; about every second step has one."""
 
     def __init__(self, tip: TipController, model: Sick, seed: int) -> None:
         self.tip, self.model = tip, model
@@ -124,7 +124,7 @@ class Injector:
         self.stale = math.nan
 
     def measurement(self, y: float) -> Any:
-        """What the sensor says instead of `y` [deg]."""
+        """Measurement after fault injection, in place of `y` [deg]."""
         if self.missing > 0:
             self.missing -= 1
             return math.nan
@@ -143,7 +143,7 @@ class Injector:
         return y + 0.15 * float(self.random.standard_normal())
 
     def frame(self, y: float) -> None:
-        """About every fourth sample a frame of the device at `y` [deg], or of a broken imaging system."""
+        """Frame of the device at `y` [deg], or of a broken imaging system, in about every fourth sample."""
         if self.random.random() > 0.25:
             return
         now_s, fate = self.tip.state().time_s, self.random.random()
@@ -156,7 +156,7 @@ class Injector:
             self.tip.measure(self.measurement(y), taken_s)
 
     def planner(self) -> None:
-        """What the planner does before this step."""
+        """Action of the planner before this step."""
         fate = self.random.random()
         if fate > 0.06:
             return
@@ -174,7 +174,7 @@ class Injector:
             self.tip.stop()
 
     def _rude(self) -> Any:
-        """A function that behaves when it is tried and not later."""
+        """Function that is valid at its check and fails later."""
         answer = (math.nan, math.inf, "x", 1e7, 60.0)[self.random.integers(5)]
 
         def reference(t: float) -> Any:
@@ -185,7 +185,7 @@ class Injector:
         return reference
 
     def model_and_solver(self) -> None:
-        """Whether the model fails in this step, and how."""
+        """Whether the model fails in this step, and the kind of failure."""
         if self.sick > 0:
             self.sick -= 1
             return
@@ -196,12 +196,12 @@ class Injector:
             self.sick = int(self.random.integers(0, 8))
 
     def samples_lost(self) -> int:
-        """Samples in which no step is taken."""
+        """Number of samples without a step."""
         return int(self.random.integers(1, 5)) if self.random.random() < 0.02 else 0
 
 
 def faulty(settings: dict[str, Any]) -> tuple[TipController, Sick, CommandLimits]:
-    """A controller whose model can be made sick."""
+    """Build a controller whose model can be made to fail."""
     model = load_model(library_file("pi"), start="conditioned")
     predictor, inverse = controller_model(model).predictive
     sick, facts = Sick(predictor), model.metadata
@@ -213,7 +213,7 @@ def faulty(settings: dict[str, Any]) -> tuple[TipController, Sick, CommandLimits
 
 
 def violates(limits: CommandLimits, u: float, last: float, dt: float) -> bool:
-    """Whether `u` may not follow `last` after `dt` seconds; also where it is not a number."""
+    """Whether `u` violates the limits after `last` and `dt` seconds, or is not a number."""
     return not (limits.lower <= u <= limits.upper and abs(u - last) <= limits.rate * dt * (1 + _ROUNDING))
 
 
@@ -258,14 +258,14 @@ def inject(settings: dict[str, Any], steps: int, seed: int) -> Tally:
 
 
 def run(steps: int, seed: int = 0) -> dict[str, Tally]:
-    """All controllers, `steps` shared among them."""
+    """Run all controllers; `steps` are divided among them."""
     with threadpool_limits(limits=1):
         share = math.ceil(steps / len(CONTROLLERS))
         return {name: inject(settings, share, seed + k) for k, (name, settings) in enumerate(CONTROLLERS.items())}
 
 
 def main() -> None:
-    """Print one row a controller; exit with 1 where anything was counted."""
+    """Print one row a controller; exit with 1 if any exception or violation was counted."""
     given = asked(__doc__, steps=(1_000_000, "steps of all controllers together"), seed=(0, "of the faults"))
     tallies = run(given.steps, given.seed)
     rows = []

@@ -1,10 +1,10 @@
-"""Logs of the kinds that users have reported, drawn at random with a known truth, each tried once.
+"""Logs of the kinds reported by users, drawn at random with a known truth, each tried once.
 
     python lab/benchmarks/field_draws.py [--seed 1] [--each 3] [--only WORDS]
 
-The devices are computed here, apart from the package: plays in numpy, a delay, a lag, a sensor. Each draw prints what
-is true, what the package said, and whether that is right. The exit code is 1 where one is not. A seed that was used
-while something was being mended proves nothing: draw with another.
+The devices are computed here, independently of the package: plays in numpy, a delay, a lag, a sensor. Each draw prints
+the truth, the package's answer, and whether it is right. The exit code is 1 if an answer is wrong. A seed that was
+used during a repair proves nothing: draw with another.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ Random = np.random.Generator
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a draw was, what was said of it, and whether that is right."""
+    """Truth of a draw, the package's answer, and whether it is right."""
 
     truth: str
     said: str
@@ -48,7 +48,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Device:
-    """theta = b + g (u + sum_i w_i play_{r_i}(u)) of the command a delay and a lag ago, with a noisy sensor.
+    """Device with angle theta = b + g (u + sum_i w_i play_{r_i}(u)), behind a delay, a lag and a noisy sensor.
 
     Attributes:
         gain, offset: [deg/cmd], [deg].
@@ -66,7 +66,7 @@ class Device:
     noise_deg: float = 0.05
 
     def angles(self, command: Vec, dt_s: float) -> Vec:
-        """Angles (T,) [deg] without noise; the device rested at the first command."""
+        """Angles (T,) [deg] without noise, from rest at the first command."""
         late = np.interp(np.arange(command.size) * dt_s - self.delay_s, np.arange(command.size) * dt_s, command)
         if self.lag_s:
             share, x, lagged = 1 - np.exp(-dt_s / self.lag_s), late[0], late.copy()
@@ -82,14 +82,14 @@ class Device:
 
 
 def drawn_device(rng: Random, **drive: float) -> Device:
-    """A device of two to four plays."""
+    """Random device of two to four plays."""
     n = int(rng.integers(2, 5))
     radii = np.cumsum(rng.uniform(0.05, 0.25, n))
     return Device(rng.uniform(3, 8), rng.uniform(-20, 40), tuple(rng.uniform(0.1, 0.5, n)), tuple(radii), **drive)
 
 
 def motion(rng: Random, dt_s: float, seconds: float, low: float, high: float, start: float) -> Vec:
-    """Rest of a second, then ramps between random commands, some with holds."""
+    """Commands: a second of rest, then ramps between random commands, some with holds."""
     u, parts = start, [np.full(max(round(1.0 / dt_s), 2), start)]
     while sum(map(len, parts)) * dt_s < seconds:
         target = rng.uniform(low, high)
@@ -102,7 +102,7 @@ def motion(rng: Random, dt_s: float, seconds: float, low: float, high: float, st
 
 
 def trial(rng: Random, device: Device, dt_s: float, seconds: float, start: float, name: str) -> hystmpc.Trial:
-    """A recorded trial of commands of 0 to 6."""
+    """Recorded trial with commands of 0 to 6."""
     u = motion(rng, dt_s, seconds, 0.0, 6.0, start)
     y = device.angles(u, dt_s) + rng.normal(0, device.noise_deg, u.size)
     return hystmpc.Trial(np.arange(u.size) * dt_s, u, y, source=name)
@@ -114,14 +114,14 @@ def trials(rng: Random, device: Device, dt_s: float = 0.04, count: int = 4) -> l
 
 
 def written(recorded: hystmpc.Trial, path: Path) -> Path:
-    """The trial as the usual table."""
+    """Write the trial as the usual table."""
     table = np.column_stack([recorded.t, recorded.command, recorded.angle])
     np.savetxt(path, table, fmt="%.6f", delimiter=",", header="time_s,command_mm,angle_deg", comments="")
     return path
 
 
 def checked(path: Path, *words: str) -> str:
-    """What `hystmpc check` prints, on one line."""
+    """Output of `hystmpc check` on one line."""
     program = [sys.executable, "-c", "from hystmpc.cli.entry import main; main()", "check", str(path), *words]
     wide = {**os.environ, "COLUMNS": "1000"}
     done = subprocess.run(program, capture_output=True, text=True, check=False, env=wide)
@@ -129,7 +129,7 @@ def checked(path: Path, *words: str) -> str:
 
 
 def delay_and_rate(rng: Random, _: Path) -> Outcome:
-    """A1: the true simulator has a delay; logs are faster or slower than its sample time."""
+    """Case A1: the true simulator has a delay; logs are faster or slower than its sample time."""
     dt, rate = float(rng.choice([0.02, 0.04, 0.05, 0.1])), float(rng.choice([10, 25, 50, 100, 250]))
     delay = float(rng.uniform(0.3, 3.0)) * dt
     core = PrandtlIshlinskii(4.0, (2.0, 1.0, 0.5), float(rng.uniform(0.1, 0.3)), 0.0, 25.0)
@@ -152,7 +152,7 @@ def delay_and_rate(rng: Random, _: Path) -> Outcome:
 
 
 def rest_start(rng: Random, _: Path) -> Outcome:
-    """A2: trials that rest at different commands, or windows cut out of one log."""
+    """Case A2: trials that rest at different commands, or windows cut out of one log."""
     device = drawn_device(rng)
     if cut := bool(rng.random() < 0.5):
         whole = trial(rng, device, 0.04, 120.0, 3.0, "long.csv")
@@ -174,7 +174,7 @@ def rest_start(rng: Random, _: Path) -> Outcome:
 
 
 def noisy_command(rng: Random, _: Path) -> Outcome:
-    """A3: identified from a noisy command, used with a clean one."""
+    """Case A3: identified from a noisy command, used with a clean one."""
     device, sigma = drawn_device(rng), float(rng.uniform(0.01, 0.06))
     clean = trials(rng, device)
     noisy = [replace(one, command=one.command + rng.normal(0, sigma, len(one))) for one in clean]
@@ -184,7 +184,7 @@ def noisy_command(rng: Random, _: Path) -> Outcome:
 
 
 def long_delay(rng: Random, _: Path) -> Outcome:
-    """A4: a delay beyond what a search usually spans."""
+    """Case A4: a delay longer than the usual range of the search."""
     delay = float(rng.uniform(0.45, 1.6))
     found = hystmpc.fit("auto", trials(rng, drawn_device(rng, delay_s=delay))).simulator
     parts = [operator.name for operator in found.chain.operators]
@@ -193,7 +193,7 @@ def long_delay(rng: Random, _: Path) -> Outcome:
 
 
 def nothing_more(rng: Random, _: Path) -> Outcome:
-    """A5: a device of plays alone, at any rate."""
+    """Case A5: a device of plays alone, at any rate."""
     rate = float(rng.choice([25, 50, 100, 250]))
     found = hystmpc.fit("auto", trials(rng, drawn_device(rng), 1 / rate, 3), rate_hz=rate).simulator
     more = [o.name for o in (*found.chain.before, *found.chain.after)]
@@ -201,7 +201,7 @@ def nothing_more(rng: Random, _: Path) -> Outcome:
 
 
 def no_set(rng: Random, folder: Path) -> Outcome:
-    """A6: a device with a lag and no set, whose command turns back to its start and goes on at once, or rests there."""
+    """Case A6: a device with a lag and no set; its command returns to its start and goes on at once or rests there."""
     device = drawn_device(rng, lag_s=float(rng.uniform(0.1, 1.0)), delay_s=float(rng.uniform(0, 0.3)))
     start, top, speed = rng.uniform(0.5, 4.0), rng.uniform(4.5, 6.0), rng.uniform(1.0, 6.0)
     steps = round((top - start) / speed / 0.04)
@@ -218,7 +218,7 @@ def no_set(rng: Random, folder: Path) -> Outcome:
 
 
 def sentinel_or_wrap(rng: Random, folder: Path) -> Outcome:
-    """A7: a wrapped counter, sentinels, or two clocks."""
+    """Case A7: a wrapped counter, sentinels, or two clocks."""
     one = trial(rng, drawn_device(rng), 0.04, 60.0, 3.0, "a")
     what = str(rng.choice(["wrap", "sentinel", "shift"]))
     if what == "wrap":
@@ -246,7 +246,7 @@ def sentinel_or_wrap(rng: Random, folder: Path) -> Outcome:
 
 
 def odd_clock(rng: Random, folder: Path) -> Outcome:
-    """B: time in another unit, with a counter that wraps, in whole seconds."""
+    """Case B: time in another unit, with a counter that wraps, in whole seconds."""
     rate = float(rng.choice([20, 25, 50, 100]))
     one = trial(rng, drawn_device(rng), 1 / rate, 40.0, 3.0, "a")
     what = str(rng.choice(["ms", "us", "days", "wrap 32 us", "wrap 16 ms", "whole seconds"]))
@@ -270,7 +270,7 @@ def odd_clock(rng: Random, folder: Path) -> Outcome:
 
 
 def odd_file(rng: Random, folder: Path) -> Outcome:
-    """B: one trial, written in another way."""
+    """Case B: one trial in an unusual file format."""
     one = trial(rng, drawn_device(rng), 0.04, 20.0, 3.0, "a")
     table = np.column_stack([one.t, one.command, one.angle]).round(5)
     what = str(rng.choice(["text", "text", "text", "xlsx", "npz", "mat rows", "utf-16", "lvm"]))
@@ -307,7 +307,7 @@ def odd_file(rng: Random, folder: Path) -> Outcome:
 
 
 def _text(rng: Random, table: Vec, folder: Path, encoding: str) -> tuple[Path, str]:
-    """A table in delimited text of a kind drawn at random, and what it is."""
+    """Delimited text of a random format, and its description."""
     comma = bool(rng.random() < 0.4)
     delimiter = str(rng.choice([";", "\t"])) if comma else str(rng.choice([",", ";", "\t", " "]))
     encoding = encoding or str(rng.choice(["utf-8", "utf-8-sig", "latin-1"]))
@@ -346,7 +346,7 @@ KINDS: dict[str, Callable[[Random, Path], Outcome]] = {
 
 
 def main() -> int:
-    """Draw and try."""
+    """Draw the cases and try each."""
     given = asked(__doc__, seed=1, each=3, only=("", "words, one of which a kind's name has to hold"))
     wrong = 0
     for number, (name, draw) in enumerate(KINDS.items()):

@@ -1,10 +1,10 @@
-"""What `pip install hystmpc` weighs, and what its imports take, in the environment that runs this program.
+"""Size of `pip install hystmpc` and import times in the environment that runs this program.
 
     python lab/benchmarks/install_size.py [--largest 12] [--runs 5]
 
 Sizes are those of the files that a distribution lists, compiled bytecode included, in MB of 1e6 bytes. The package and
-all that it requires are counted, extras left out. Times are processor time of a new interpreter with one import, less
-that of an interpreter alone: the least of some runs. Beside them stand the packages that take most of it, in percent of
+all that it requires are counted, extras left out. Times are processor time of a new interpreter with one import, minus
+that of an interpreter alone: the minimum of some runs. The packages with the largest share are listed, in percent of
 one run (`python -X importtime`).
 """
 
@@ -34,7 +34,7 @@ _MODULE = re.compile(r"^import time:\s+(\d+) \|\s+\d+ \|\s+([\w.]+)$", re.MULTIL
 
 
 def required(name: str, extras: frozenset[str] = frozenset()) -> set[str]:
-    """The distribution and all that it requires on this machine."""
+    """Distribution and all its installed requirements."""
     found: set[str] = set()
     ahead = [(canonicalize_name(name), extras)]
     while ahead:
@@ -50,13 +50,13 @@ def required(name: str, extras: frozenset[str] = frozenset()) -> set[str]:
 
 
 def megabytes(name: str) -> float:
-    """Files of a distribution, those of an editable one not."""
+    """Size of a distribution's files [MB], without those of an editable install."""
     paths = (Path(str(file.locate())) for file in distribution(name).files or ())
     return sum(path.stat().st_size for path in paths if path.is_file()) / 1e6
 
 
 def seconds(code: str, runs: int) -> float:
-    """The least processor time, user and system, of some interpreters that run `code`."""
+    """Minimum processor time, user and system, of several interpreters that run `code`."""
 
     def once() -> float:
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -68,14 +68,14 @@ def seconds(code: str, runs: int) -> float:
 
 
 def modules(code: str) -> dict[str, int]:
-    """Modules that `code` imports, and the time of each without what it imports itself."""
+    """Modules that `code` imports, and the time of each without its own imports."""
     command = [sys.executable, "-X", "importtime", "-c", code]
     said = subprocess.run(command, capture_output=True, text=True, check=True).stderr
     return {name: int(us) for us, name in _MODULE.findall(said)}
 
 
 def slowest(module: str, count: int = 4) -> str:
-    """The packages that take most of an import, without what every interpreter loads."""
+    """Packages with the largest import times, without those that every interpreter loads."""
     always, times = modules("pass"), Counter[str]()
     for name, us in modules(f"import {module}").items():
         if name not in always:

@@ -1,11 +1,11 @@
-"""kill -9 during logging: every run folder must be readable, and hold all that had been flushed; prints a table.
+"""kill -9 during logging: every run folder must be readable and hold all flushed samples; prints a table.
 
     python lab/benchmarks/kill_recording.py [--kills 100] [--seed 0] [--rate 250] [--longest 3]
 
-A process of its own records made-up samples at the given rate and says, after every flush, how many are on the disk.
-It is killed at a random time. What the folder then holds is compared with what was said, sample by sample. Three ways
-of dying take turns: a recording by a thread, killed with its process; a recording by a process, all killed at once;
-and the controller alone, whose recording then ends its files by itself.
+A separate process records made-up samples at the given rate and reports the number on the disk after every flush. It
+is killed at a random time, and the folder is compared with the report, sample by sample. Three kinds of kill
+alternate: a recording by a thread, killed with its process; a recording by a process, all killed at once; and the
+controller alone, whose recording process then ends its files by itself.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _PATIENCE_S = 30.0
 
 @dataclass(frozen=True)
 class Outcome:
-    """One kill: when, what had been promised, what was found, and what is wrong with it (empty if nothing)."""
+    """Result of one kill: time, promised and recorded samples, and the fault (empty if there is none)."""
 
     way: str
     at_s: float
@@ -51,7 +51,7 @@ class Outcome:
 
 
 def made_up(k: int, rate_hz: float) -> Sample:
-    """Sample k; the same for whoever asks."""
+    """Made-up sample number k, reproducible in every process."""
     t = k / rate_hz
     angle = 30 + 20 * math.sin(t)
     command = 3 + 2 * math.sin(1.3 * t)
@@ -62,7 +62,7 @@ def made_up(k: int, rate_hz: float) -> Sample:
 
 
 def record(folder: Path, way: str, rate_hz: float) -> None:
-    """The process that is killed: record until then, and say what is on the disk."""
+    """Main function of the process that is killed: record and report the samples on the disk."""
     meta = RecordingMeta("mm", command_line=("kill_recording",))
     sink: Recording | RecorderProcess
     opening = open_recording if way == THREAD else open_recorder_process
@@ -78,11 +78,11 @@ def record(folder: Path, way: str, rate_hz: float) -> None:
 
 
 def kill_once(folder: Path, way: str, rate_hz: float, at_s: float) -> Outcome:
-    """Start a recording, kill it `at_s` after it has begun, and look at what is left."""
+    """Start a recording, kill it `at_s` after its start, and examine the folder."""
     said, child = _started(folder, way, rate_hz)
     with os.fdopen(said) as lines:
         try:
-            promised = int(lines.readline())  # the first line says that it has begun
+            promised = int(lines.readline())  # the first line marks the start
             time.sleep(at_s)
         finally:
             if way == CONTROLLER:
@@ -100,7 +100,7 @@ def kill_once(folder: Path, way: str, rate_hz: float, at_s: float) -> Outcome:
 
 
 def _started(folder: Path, way: str, rate_hz: float) -> tuple[int, int]:
-    """A pipe from the recording process, and its number; forked, since to import everything anew takes longest."""
+    """Start the recording process by a fork, which avoids its imports; return a pipe and its process id."""
     ours, theirs = os.pipe()
     child = os.fork()
     if child:
@@ -115,7 +115,7 @@ def _started(folder: Path, way: str, rate_hz: float) -> tuple[int, int]:
 
 
 def _await_end(file: Path) -> None:
-    """The recording process goes on after its controller: wait until it has ended its MCAP file."""
+    """Wait until the recording process, which outlives its controller, has ended its MCAP file."""
     end = time.monotonic() + _PATIENCE_S
     while time.monotonic() < end:
         content = file.read_bytes() if file.exists() else b""
@@ -144,7 +144,7 @@ def _judged(folder: Path, way: str, rate_hz: float, at_s: float, promised: int) 
 
 
 def _samples(file: Path, rate_hz: float) -> tuple[int, str]:
-    """How many samples a log holds, and what is wrong with them."""
+    """Number of samples in a log, and its fault."""
     try:
         trial = read_log(file)
     except HystmpcError as error:
@@ -160,7 +160,7 @@ _COLUMNS = ("recording by", "kills", "unreadable or lost", "nothing flushed yet"
 
 
 def summary(outcomes: list[Outcome]) -> Iterator[tuple[object, ...]]:
-    """Rows of the table: one for each kind of kill."""
+    """Rows of the table, one for each kind of kill."""
     for way in WAYS:
         here = [outcome for outcome in outcomes if outcome.way == way]
         if here:
@@ -171,13 +171,13 @@ def summary(outcomes: list[Outcome]) -> Iterator[tuple[object, ...]]:
 
 
 def campaign(kills: int, seed: int, rate_hz: float, longest_s: float, folder: Path) -> list[Outcome]:
-    """Kill so many recordings at random times, the three ways in turn."""
+    """Kill the given number of recordings at random times, alternating between the three kinds."""
     times = np.random.default_rng(seed).uniform(0, longest_s, kills)
     return [kill_once(folder / str(k), WAYS[k % 3], rate_hz, float(at_s)) for k, at_s in enumerate(times)]
 
 
 def main() -> int:
-    """Run the campaign; exit code 1 if a folder was unreadable or something that was flushed is lost."""
+    """Run the campaign; exit code 1 if a folder was unreadable or a flushed sample is lost."""
     options = asked(__doc__, kills=100, seed=0, rate=(250.0, "samples per second"), longest=(3.0, "latest kill [s]"))
     with tempfile.TemporaryDirectory() as folder:
         outcomes = campaign(options.kills, options.seed, options.rate, options.longest, Path(folder))

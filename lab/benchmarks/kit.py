@@ -1,4 +1,4 @@
-"""Options, table and JSON file of the benchmarks: their command lines are all read and answered here."""
+"""Command line, table and JSON file of the benchmarks."""
 
 from __future__ import annotations
 
@@ -44,6 +44,6 @@ def show(columns: Sequence[str], rows: Iterable[Sequence[object]], title: str | 
 
 
 def save(path: Path | None, data: object) -> None:
-    """Write data as JSON, where a file was asked for."""
+    """Write data as JSON if a file name is given."""
     if path is not None:
         path.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")

@@ -50,7 +50,7 @@ Fit = Callable[[Sequence[Trial]], ExportBundle]
 
 
 def overridden(settings: NetworkSettings, changes: Sequence[str]) -> NetworkSettings:
-    """Settings with `a.b=value` changes."""
+    """Settings with changes of the form `a.b=value`."""
     data = settings.model_dump()
     for change in changes:
         key, _, value = change.partition("=")
@@ -63,7 +63,7 @@ def overridden(settings: NetworkSettings, changes: Sequence[str]) -> NetworkSett
 
 
 def of_kind(name: str, training: str, changes: Sequence[str]) -> Fit:
-    """How a kind is identified; trainings of networks may be changed."""
+    """Identification settings of a kind; trainings of networks may be changed."""
     kind = kind_named(name)
     if isinstance(kind, NetworkKind):
         settings = overridden(kind.settings[training], changes)
@@ -73,7 +73,7 @@ def of_kind(name: str, training: str, changes: Sequence[str]) -> Fit:
 
 
 def left_out(logs: Sequence[Trial], model: str, changes: Sequence[str], folder: Path) -> str:
-    """One line of the table over logs: means of errors whole and from the first reversal on, and the hold drift."""
+    """Row of the table over logs: mean errors of whole trials and from the first reversal on, and the hold drift."""
     kind, _, preset = model.partition(":")
     fit, rows = of_kind(kind, preset or "best", changes if preset else ()), []
     for k, log in enumerate(logs):
@@ -86,7 +86,7 @@ def left_out(logs: Sequence[Trial], model: str, changes: Sequence[str], folder: 
 
 
 def filled(motions: Sequence[Trajectory]) -> Vec:
-    """Commands of one motion after the other, joined by ramps, 60 s long in all."""
+    """Commands of consecutive motions, joined by ramps, 60 s in total."""
     parts = [np.zeros(1)]
     for motion in motions:
         commands = np.clip(motion(np.arange(0.0, motion.duration_s, DT_S)), 0.0, 6.0)
@@ -97,7 +97,7 @@ def filled(motions: Sequence[Trajectory]) -> Vec:
 
 
 def motions_of(seed: int) -> tuple[list[Vec], list[Vec]]:
-    """Commands of ten trials to train on and of four that are left out."""
+    """Commands of ten training trials and of four held-out trials."""
     sines = [(0.1, "0BL"), (0.2, "0BL"), (0.4, "MidBL"), (0.5, "0BL"), (0.2, "EndBL")]
     training = [filled([s2_sinusoid(f, offset)] * 5) for f, offset in sines]  # type: ignore[arg-type]
     training += [filled([s2_point_to_point(seed + 2 * k + j) for j in (0, 1)]) for k in range(5)]
@@ -107,7 +107,7 @@ def motions_of(seed: int) -> tuple[list[Vec], list[Vec]]:
 
 
 def recorded(device: str, commands: Sequence[Vec], seed: int) -> list[Trial]:
-    """One trial a motion, each from the rest after an initialisation flexure, with other noise."""
+    """Record one trial a motion, each from the rest after an initialisation flexure, with different noise."""
     trials = []
     for k, motion in enumerate(commands):
         plant = make_plant(PlantSettings(device=device, noise_deg=NOISE_DEG), DT_S, seed=seed + k)
@@ -151,7 +151,7 @@ def closed_loops(device: str, model: Path, trials: Sequence[Trial], seed: int) -
 
 
 def row(device: str, model: str, changes: Sequence[str], seed: int, folder: Path) -> str:
-    """One line of the table."""
+    """Row of the table."""
     training, left_out = motions_of(seed)
     trials, judges = recorded(device, training, seed), recorded(device, left_out, seed + 50)
     kind, _, preset = model.partition(":")

@@ -1,4 +1,4 @@
-"""Make the identified models that ship with the package anew: `auto.yaml`, `backlash.yaml`, `pi.yaml`, `lstm.onnx`.
+"""Generator of the identified models in the package: `auto.yaml`, `backlash.yaml`, `pi.yaml`, `lstm.onnx`.
 
     python lab/benchmarks/make_library.py [--out FOLDER] [--updates 4000]
 
@@ -43,7 +43,7 @@ def excitations() -> dict[str, Trajectory]:
 
 
 def recorded(name: str, excitation: Trajectory, seed: int) -> Trial:
-    """One simulated trial, from the rest that follows the initialisation flexure."""
+    """Record one simulated trial from the rest after the initialisation flexure."""
     device = load_simulator(library_file("tendon-catheter"))
     plant = SimulatedPlant(device, EFFECTS, seed=seed)
     t, command = sample(excitation, 1 / plant.dt)
@@ -54,7 +54,7 @@ def recorded(name: str, excitation: Trajectory, seed: int) -> Trial:
 
 
 def settings(updates: int) -> NetworkSettings:
-    """Those of the training `stacked`; without a teacher, since these trials already hold and repeat."""
+    """Settings of the training `stacked`, without a teacher, since these trials already hold and repeat."""
     stacked = LSTM.settings["stacked"]
     way = stacked.training
     if not isinstance(way, StreamTraining):

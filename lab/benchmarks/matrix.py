@@ -1,11 +1,11 @@
-"""Interpreters x dependency sets: the fast tests in each, and one table of passed, failed and seconds.
+"""Fast tests for each interpreter and dependency set, with one table of passed, failed and seconds.
 
     python lab/benchmarks/matrix.py [--python 3.11 3.12] [--set lowest] [--keep] [--table]
 
 `pinned` has the versions of constraints.txt, `lowest` the lowest that pyproject.toml allows for every dependency that
-it names (uv's `lowest-direct`). A cell is resolved, installed into a venv of its own and tested; its venv is then
-removed. `--table` only prints the table of the last runs. torch is that of constraints.txt in both sets. It is left out
-where only a build for GPUs is offered, of several GB. Wheels only. Exit code 1 where a cell that ran is not green.
+it names (uv's `lowest-direct`). A cell is resolved, installed into its own venv and tested; the venv is then removed.
+`--table` only prints the table of the last runs. torch is that of constraints.txt in both sets. It is left out
+where only a build for GPUs is offered, of several GB. Wheels only. Exit code 1 if the tests of a cell failed.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ NO_TORCH = "torch; python_version < '3'"  # an override that no interpreter meet
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the tests of one cell said."""
+    """Test result of one cell."""
 
     passed: int
     failed: int
@@ -50,7 +50,7 @@ class Outcome:
 
     @property
     def green(self) -> bool:
-        """Whether anything passed and nothing failed."""
+        """Whether at least one test passed and none failed."""
         return self.passed > 0 and self.failed == 0
 
     def __str__(self) -> str:
@@ -59,14 +59,14 @@ class Outcome:
 
 
 def versions_supported() -> list[str]:
-    """The interpreters that the classifiers of pyproject.toml name."""
+    """Interpreter versions in the classifiers of pyproject.toml."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     found = (re.fullmatch(r"Programming Language :: Python :: (3\.\d+)", line) for line in project["classifiers"])
     return [match.group(1) for match in found if match]
 
 
 def interpreter(version: str) -> str | None:
-    """A Python of this version that runs: from PATH, else from pyenv's folder."""
+    """Path of a Python of this version that runs, from PATH, else from pyenv's folder."""
     pyenv = os.environ.get("PYENV_ROOT", os.path.expanduser("~/.pyenv"))
     name = f"python{version}"
     for path in (shutil.which(name), *sorted(glob.glob(f"{pyenv}/versions/{version}.*/bin/{name}"))):
@@ -79,7 +79,7 @@ def interpreter(version: str) -> str | None:
 
 
 def uv(*arguments: object, **environment: str) -> str:
-    """Run uv, which reads no setting of pip: the folder of wheels is handed on."""
+    """Run uv with the folder of wheels, since uv reads no setting of pip."""
     links = {"UV_FIND_LINKS": os.environ["PIP_FIND_LINKS"]} if "PIP_FIND_LINKS" in os.environ else {}
     settings = {**links, **os.environ, **environment}
     return subprocess.run(
@@ -88,7 +88,7 @@ def uv(*arguments: object, **environment: str) -> str:
 
 
 def requirements(python: str, resolution: str, override: str) -> str:
-    """The exact versions of both packages, their extras and tools; torch is as `override` says.
+    """Exact versions of both packages, their extras and tools; torch as given by `override`.
 
     The two packages themselves, of which each asks for the other, come from the checkout.
     """
@@ -111,7 +111,7 @@ def requirements(python: str, resolution: str, override: str) -> str:
 
 
 def resolved(python: str, resolution: str) -> str:
-    """As `requirements`, with the torch of constraints.txt, or without where that brings libraries of a GPU."""
+    """Result of `requirements` with the torch of constraints.txt, or without torch if it brings GPU libraries."""
     pin = _TORCH.findall((ROOT / "constraints.txt").read_text(encoding="utf-8"))[0]
     text = requirements(python, "highest", pin)
     exact = NO_TORCH if _GPU.search(text) else _TORCH.findall(text)[0]  # with the local version, as +cpu
@@ -119,7 +119,7 @@ def resolved(python: str, resolution: str) -> str:
 
 
 def run_cell(python: str, name: str, resolution: str, keep: bool) -> None:
-    """Leave requirements.txt and the tests' junit.xml in the folder of the cell."""
+    """Test one cell; requirements.txt and the tests' junit.xml stay in its folder."""
     folder = FOLDER / name
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -147,7 +147,7 @@ def run_cell(python: str, name: str, resolution: str, keep: bool) -> None:
 
 
 def outcome(folder: Path) -> Outcome | None:
-    """What the cell's last run said, None where it has none."""
+    """Result of the cell's last run, None without one."""
     report = folder / "junit.xml"
     if not report.is_file():
         return None
@@ -161,7 +161,7 @@ def outcome(folder: Path) -> Outcome | None:
 
 
 def table(versions: Sequence[str], missing: Sequence[str]) -> str:
-    """Markdown that is also read in a terminal: a row for an interpreter, a column for a set."""
+    """Table in Markdown, readable in a terminal: a row for an interpreter, a column for a set."""
     rows = [("Python", *SETS, "of")]
     for version in versions:
         cells = [outcome(FOLDER / f"{version}-{name}") for name in SETS]
@@ -175,7 +175,7 @@ def table(versions: Sequence[str], missing: Sequence[str]) -> str:
 
 
 def failures(folder: Path) -> Iterator[str]:
-    """The tests that failed in a cell, one line each."""
+    """Failed tests of a cell, one line each."""
     report = folder / "junit.xml"
     for case in ET.parse(report).getroot().iter("testcase") if report.is_file() else ():
         if any(case.find(kind) is not None for kind in ("failure", "error")):
@@ -183,7 +183,7 @@ def failures(folder: Path) -> Iterator[str]:
 
 
 def main() -> int:
-    """Run the cells that are asked for, then print the table."""
+    """Run the selected cells, then print the table."""
     versions = versions_supported()
     wanted = asked(
         __doc__,

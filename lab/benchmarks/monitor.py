@@ -1,12 +1,12 @@
-"""The change monitor on drawn devices: false alarms an hour as identified, and the delay until a change is said.
+"""Change monitor on drawn devices: false alarms per hour on unchanged devices, and the delay of the detection.
 
     hystmpc study commission --out DIR ...
     python lab/benchmarks/monitor.py DIR [--hours 100] [--minutes 4] [--seed 0] [--jobs 2]
 
-Every device that the study has commissioned moves for its part of the hours as it was identified: scans, ramps with
+Every device commissioned by the study moves unchanged for its share of the hours: scans, ramps with
 rests, and sums of two sines, drawn at random within the limits. Then it moves for some minutes after each change:
 friction and stiffness (factors 2 and 1.3), 0.1 s more of lag, 0.08 s more of delay, an offset of 6 % of the range. The
-model runs beside it on the commands alone. A false alarm is a change that is said where it was not said before. The
+model runs open-loop on the same commands. A false alarm is a reported change that was not reported before. The
 delay is counted in seconds of the run, rests included.
 """
 
@@ -40,7 +40,7 @@ EXPECTED = {"friction": "friction", "stiffness": "stiffness", "lag": "lag", "del
 
 @dataclass(frozen=True)
 class Judged:
-    """One device: its hours as identified, and what was said after each change."""
+    """Result of one device: its hours as identified, and the answer after each change."""
 
     key: str
     hours: float
@@ -50,7 +50,7 @@ class Judged:
 
 
 def changed(device: DrawnDevice, change: str) -> DrawnDevice:
-    """The device after a change; an offset is the sensor's."""
+    """Device after a change; an offset is that of the sensor."""
     made = {
         "friction": worn(device, 2.0, 1.0),
         "stiffness": worn(device, 1.0, 1.3),
@@ -73,7 +73,7 @@ def motion(random: np.random.Generator, device: DrawnDevice, seconds: float) -> 
 
 
 def _part(random: np.random.Generator, dt: float, top: float, rate: float, last: float) -> Iterator[Vec]:
-    """Half a minute of one kind of motion, from the command `last` on."""
+    """Commands of half a minute of one kind of motion, starting at `last`."""
     kind, t = random.integers(3), np.arange(round(random.uniform(20.0, 60.0) / dt)) * dt
     width = random.uniform(0.25, 1.0) * top
     centre = random.uniform(0.5 * width, top - 0.5 * width)
@@ -99,7 +99,7 @@ def _ramp(start: float, end: float, step: float) -> Vec:
 
 
 def judge(device: DrawnDevice, folder: Path, hours: float, minutes: float, seed: int) -> Judged:
-    """Its hours and its changes."""
+    """Run the unchanged hours and the changes of one device."""
     tip = tip_settings(folder / "commissioned" / device.key / TIP_FILE)
     model = load_model(model_path(tip.model), start="conditioned")
     predictor = controller_model(model).feedforward[0]
@@ -128,7 +128,7 @@ def judge(device: DrawnDevice, folder: Path, hours: float, minutes: float, seed:
 
 
 def _alarms(monitor: ChangeMonitor, free: Vec, angles: Vec) -> int:
-    """How often a change is said that was not said a second before."""
+    """Number of reported changes that were not reported one second before."""
     state, before, count, every = monitor.init(float(free[0]), float(angles[0])), False, 0, round(1.0 / monitor.dt)
     for k, (model, angle) in enumerate(zip(free.tolist(), angles.tolist(), strict=True)):
         state = monitor.advance(state, model, angle)

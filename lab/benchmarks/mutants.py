@@ -1,11 +1,11 @@
-"""Mutation: every safety rule broken on purpose, one line at a time; the tests of its room have to notice. A table.
+"""Mutation test: every safety rule is broken on purpose, one line at a time, and the tests of its room must fail.
 
     python lab/benchmarks/mutants.py [--jobs 2] [--only TEXT] [--timeout 300] [--out mutants.json]
 
 Each mutant of `mutants.yaml` is written into a copy of the checkout, its tests run there, fast ones first, and it is
-taken back. A mutant is killed when a test fails, or when the tests hang; it survives when they all pass. Text that is
-not found exactly once is an error, so that the list cannot rot. Before, the same tests run without any mutant: where
-they fail by themselves nothing is learned. Exit code 1 below 95 % killed, 2 where something does not apply.
+reverted. A mutant is killed when a test fails, or when the tests hang; it survives when they all pass. Text that does
+not occur exactly once is an error, so that the list cannot become outdated. First, the same tests run without any
+mutant: if they fail, nothing can be concluded. Exit code 1 below 95 % killed, 2 if a mutant does not apply.
 """
 
 from __future__ import annotations
@@ -56,14 +56,12 @@ Verdict = Literal["killed", "survived", "error"]
 
 @dataclass(frozen=True)
 class Mutant:
-    """One wrong line. One that can do no harm, since the code behaves the same, does not belong into the list.
+    """Single wrong line. A harmless change, which leaves the behaviour as it is, is no mutant.
 
     Attributes:
-        name: what is wrong then.
-        file: from the root of the checkout.
+        file: path relative to the root of the checkout.
         old: text that occurs exactly once in the file.
-        new: what stands there instead.
-        tests: files or folders of tests that have to fail, from the root of the checkout.
+        tests: files or folders of tests that have to fail, relative to the root of the checkout.
     """
 
     name: str
@@ -79,7 +77,7 @@ class Mutant:
 
 
 def listed(path: Path = LIST) -> tuple[Mutant, ...]:
-    """The mutants of a list: groups of one file and its tests, each with its mutants."""
+    """Mutants of a list: groups of one file and its tests, each with its mutants."""
     return tuple(
         Mutant(one["name"], group["file"], one["old"], one["new"], tuple(group["tests"]))
         for group in read_yaml(path)
@@ -96,13 +94,12 @@ class NotApplicableError(Exception):
 
 @dataclass(frozen=True)
 class Result:
-    """What became of one mutant.
+    """Outcome of one mutant.
 
     Attributes:
-        name, room: of the mutant.
-        verdict: `error` where nothing was learned.
-        by: the first test that failed, `timeout`, or what went wrong.
-        seconds: that it took [s].
+        verdict: `killed`, `survived`, or `error` if nothing can be concluded.
+        by: first test that failed, `timeout`, or the error.
+        seconds: duration [s].
     """
 
     name: str
@@ -113,7 +110,7 @@ class Result:
 
 
 def mutated(mutant: Mutant, text: str) -> str:
-    """The file's text with the wrong line.
+    """Text of the file with the wrong line.
 
     Raises:
         NotApplicableError: if the old text does not occur exactly once, or nothing would change.
@@ -128,7 +125,7 @@ def mutated(mutant: Mutant, text: str) -> str:
 
 
 class Copy:
-    """A copy of the checkout in a folder `hystmpc`, so that the package imported there is the copy.
+    """Copy of the checkout in a folder `hystmpc`, so that the package imported there is the copy.
 
     The folder above stands first on the path: Python finds the package there before it asks the finder of the editable
     install, which is the last one.
@@ -152,7 +149,7 @@ class Copy:
             raise NotApplicableError(f"imported: {said.strip()}, expected files of {self.root}")
 
     def judged(self, mutant: Mutant) -> Result:
-        """Apply a mutant, run its tests, take it back."""
+        """Apply a mutant, run its tests, revert it."""
         began = time.monotonic()
         try:
             with self._applied(mutant):
@@ -183,7 +180,7 @@ class Copy:
         before = file.read_bytes()
         file.write_text(mutated(mutant, before.decode("utf-8")), encoding="utf-8")
         stale = list((file.parent / "__pycache__").glob(f"{file.stem}.*.pyc"))
-        for compiled in stale:  # it would pass for the new text where that has the old length
+        for compiled in stale:  # stale bytecode is reused for a new text of equal length
             compiled.unlink()
         try:
             yield
@@ -191,11 +188,7 @@ class Copy:
             file.write_bytes(before)
 
     def _run(self, arguments: Sequence[str]) -> tuple[int, str]:
-        """Exit code and output of Python in the copy; what hangs is ended with all that it has started.
-
-        Raises:
-            TimeoutExpired: if it hangs.
-        """
+        """Exit code and output of Python in the copy; if it hangs, kill its processes and raise `TimeoutExpired`."""
         process = subprocess.Popen(
             [sys.executable, *arguments],
             cwd=self.root,
@@ -215,7 +208,7 @@ class Copy:
 
 
 def run(mutants: Sequence[Mutant], jobs: int, timeout_s: float, tell: Console) -> list[Result]:
-    """All mutants, in a copy of the checkout for each worker.
+    """Judge all mutants in one copy of the checkout for each worker.
 
     Raises:
         NotApplicableError: if a copy is not the one imported, or a test fails without any mutant.
@@ -247,12 +240,12 @@ def run(mutants: Sequence[Mutant], jobs: int, timeout_s: float, tell: Console) -
 
 
 def share(results: Sequence[Result]) -> float:
-    """The share of those killed; an error is not one."""
+    """Share of killed mutants; an error does not count as killed."""
     return sum(r.verdict == "killed" for r in results) / max(len(results), 1)
 
 
 def main() -> int:
-    """Judge the mutants; see the module for the exit codes."""
+    """Judge the mutants; exit codes as in the module's text."""
     options = asked(
         __doc__,
         jobs=(1, "workers, each with a copy of its own"),
@@ -265,7 +258,7 @@ def main() -> int:
     if not chosen:
         console.print(f"error: --only: got {', '.join(options.only)}, expected a part of a mutant's name or file")
         return 2
-    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # the copies go, whoever ends it
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # the copies are removed at any end
     try:
         results = run(chosen, options.jobs, options.timeout, console)
     except NotApplicableError as error:

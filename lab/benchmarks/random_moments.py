@@ -1,17 +1,17 @@
-"""kill -9, SIGSTOP and a stalled network at random moments of a run that moves: where does the device go? A table.
+"""Motion of the device after kill -9, SIGSTOP or a stalled network at random moments of a run; prints a table.
 
     python lab/benchmarks/random_moments.py [--moments 200] [--lanes 4] [--seed 0] [--only kill] [--out moments.json]
 
-Each lane has one device process behind a relay, and plays one run after another against it; controllers, devices and
-relays are processes with real sockets, forked from one that has imported everything. At a random moment of the motion
+Each lane has one device process behind a relay, and plays consecutive runs against it; controllers, devices and
+relays are processes with real sockets, forked from one process after its imports. At a random moment of the motion
 
     kill     the controller is killed with -9,
-    pause    the controller stands still for 3 s (SIGSTOP, SIGCONT),
-    stall    the relay drops all datagrams, either way, for 1 s.
+    pause    the controller is paused for 3 s (SIGSTOP, SIGCONT),
+    stall    the relay drops all datagrams, in both directions, for 1 s.
 
-Once the commands that were under way have come, the device must not move away from the safe command by more than the
-overshoot, and has to come back to it. The log has to hold every command that the device had got until a flush's time
-before, in order, and, where the controller lives, the stop. Exit code 1 where something of this is not so.
+After the arrival of the commands in transit, the device must not move away from the safe command by more than the
+overshoot, and has to return to it. The log has to hold, in order, every command that the device had received up to
+one flush interval before and, if the controller lives, the stop. Exit code 1 if one of these conditions is violated.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from hystmpc_lab.faults.judge import rise
 from hystmpc_lab.faults.play import device_log
 
 KINDS = ("kill", "pause", "stall")
-_SPARE_S = 0.1  # between a command's way to the device and that to the log
+_SPARE_S = 0.1  # tolerance between a command's arrival at the device and in the log
 _ROUNDING = 1e-6
 PAUSE_S, STALL_S, MOTION_S = 3.0, 1.0, 3.0
 _PATIENCE_S = 60.0
@@ -58,12 +58,12 @@ _USED = (review_run,)  # imported before the forks, so that no run has to
 
 
 def dies_with_its_parent() -> None:
-    """Have the system end this process when the one that has started it is gone: no device may be left behind."""
+    """Let the system end this process together with its parent, so that no device process is left behind."""
     ctypes.CDLL(None).prctl(_PARENT_DEATH_SIGNAL, signal.SIGKILL)
 
 
 def forked(work: Callable[[], object], output: int | None = None) -> int:
-    """Fork a process that does some work and ends; its process id."""
+    """Fork a process for some work that then exits; return its process id."""
     child = os.fork()
     if child:
         return child
@@ -84,7 +84,7 @@ def forked(work: Callable[[], object], output: int | None = None) -> int:
 
 
 def program(*arguments: object) -> Callable[[], None]:
-    """`hystmpc` with these arguments."""
+    """Run `hystmpc` with these arguments."""
 
     def work() -> None:
         sys.argv = ["hystmpc", *map(str, arguments)]
@@ -123,11 +123,9 @@ def relay(wire: socket.socket, device: int, orders: int) -> NoReturn:
 
 @dataclass(frozen=True)
 class Lane:
-    """A device process and its relay process.
+    """Device process and its relay process.
 
     Attributes:
-        folder: of `device.csv`.
-        port: of the relay.
         orders: a byte written there stalls the network.
     """
 
@@ -137,17 +135,17 @@ class Lane:
 
     @property
     def size(self) -> int:
-        """Length of the device's log so far [bytes]."""
+        """Present length of the device's log [bytes]."""
         return (self.folder / "device.csv").stat().st_size
 
     def rows(self, since: int) -> list[tuple[float, ...]]:
-        """The device's log from a length on."""
+        """Rows of the device's log from a byte position on."""
         return device_log(self.folder, self.size - since)
 
 
 @contextlib.contextmanager
 def opened(folder: Path) -> Iterator[Lane]:
-    """A lane; its processes are ended with it."""
+    """Open a lane; its processes end with the block."""
     folder.mkdir(parents=True)
     said, output = os.pipe()
     device = forked(program("device", write_device(_CASE, folder)), output)
@@ -169,7 +167,7 @@ def opened(folder: Path) -> Iterator[Lane]:
 
 
 def played(lane: Lane, kind: str, at_s: float, folder: Path) -> Moment:
-    """One run with one fault."""
+    """Play one run with one fault."""
     folder.mkdir()
     begin = lane.size
     config = write_run(_CASE, folder, Link(port=lane.port))
@@ -196,7 +194,7 @@ def played(lane: Lane, kind: str, at_s: float, folder: Path) -> Moment:
 
 
 def _first_command(lane: Lane, begin: int) -> int:
-    """Monotonic time at which the device got the run's first command [ns]."""
+    """Monotonic time of the run's first command at the device [ns]."""
     until = time.monotonic() + _PATIENCE_S
     while time.monotonic() < until:
         for row in lane.rows(begin):
@@ -207,7 +205,7 @@ def _first_command(lane: Lane, begin: int) -> int:
 
 
 def _settle(lane: Lane) -> None:
-    """Wait until the device holds the safe command for half a second, or ought to have come there."""
+    """Wait until the device holds the safe command for half a second, or the time for its return is over."""
     until = time.monotonic() + watchdog_s(_CASE) + 1.0
     begin = lane.size
     while time.monotonic() < until:
@@ -218,13 +216,13 @@ def _settle(lane: Lane) -> None:
 
 
 def lane_of(folder: Path, work: Sequence[tuple[str, float]]) -> list[Moment]:
-    """All moments of one lane, one after another."""
+    """Play all moments of one lane in sequence."""
     with opened(folder / "device") as lane:
         return [played(lane, kind, at_s, folder / f"{k:03d}") for k, (kind, at_s) in enumerate(work)]
 
 
 def campaign(kinds: Sequence[str], moments: int, lanes: int, seed: int, folder: Path) -> list[Moment]:
-    """So many moments of each kind, dealt out to the lanes."""
+    """Play the given number of moments of each kind, divided among the lanes."""
     draws = np.random.default_rng(seed)
     work = [(kind, float(draws.uniform(0.0, MOTION_S))) for _ in range(moments) for kind in kinds]
     tracking_phase(load_run(write_run(_CASE, folder, Link())))  # compiled and imported once, for all that are forked
@@ -236,16 +234,14 @@ def campaign(kinds: Sequence[str], moments: int, lanes: int, seed: int, folder: 
 
 @dataclass(frozen=True)
 class Moment:
-    """One fault, and what came of it.
+    """One fault and its consequences.
 
     Attributes:
-        kind: of the fault.
-        at_s: when, after the first command [s].
-        from_mm: command that the device held then [mm].
-        rise_mm: how far it moved away from the safe command after the commands that were under way then [mm].
-        safe_s: until it held the safe command for good; infinite if it never did [s].
-        samples: in the log.
-        fault: what is not as it has to be; empty if nothing.
+        at_s: time after the first command [s].
+        from_mm: held command of the device at that time [mm].
+        rise_mm: motion away from the safe command after the commands in transit [mm].
+        safe_s: time until it holds the safe command for good; infinite if it never does [s].
+        fault: violated condition; empty if there is none.
     """
 
     kind: str
@@ -258,7 +254,7 @@ class Moment:
 
 
 def judged(kind: str, at_s: float, rows: Sequence[tuple[float, ...]], fault_ns: int, run: Path) -> Moment:
-    """What came of a fault, by the device's log; the run's own is judged against it."""
+    """Consequences of a fault according to the device's log, with which the run's own log is compared."""
     first = max(k for k, row in enumerate(rows) if row[0] <= fault_ns)
     later = max(k for k, row in enumerate(rows) if row[0] <= fault_ns + 1e9 * IN_FLIGHT_S)
     rose = rise([abs(row[3] - SAFE) for row in rows[later:]])
@@ -275,7 +271,7 @@ def judged(kind: str, at_s: float, rows: Sequence[tuple[float, ...]], fault_ns: 
 
 
 def _logged(run: Path, got: Sequence[float], ended: bool) -> tuple[int, str]:
-    """Samples in a run's log, and what is wrong with it; the recording process may still be at its end."""
+    """Number of samples in a run's log, and its fault; the recording process may still be ending."""
     until, answer = time.monotonic() + 10.0, (0, "")
     while True:
         try:
@@ -309,7 +305,7 @@ _COLUMNS = (
 
 
 def summary(moments: Sequence[Moment]) -> Iterator[tuple[object, ...]]:
-    """A row of the table for each kind of fault."""
+    """Rows of the table, one for each kind of fault."""
     for kind in KINDS:
         here = [m for m in moments if m.kind == kind]
         if here:
@@ -319,7 +315,7 @@ def summary(moments: Sequence[Moment]) -> Iterator[tuple[object, ...]]:
 
 
 def main() -> int:
-    """Play them; exit code 1 where something is not as it has to be."""
+    """Play all moments; exit code 1 if a condition is violated."""
     options = asked(
         __doc__,
         moments=(200, "of each kind of fault"),

@@ -1,4 +1,4 @@
-"""Identify the rod device on recorded logs: one parameter set for all of them, beside their loops.
+"""Identification of the rod device on recorded logs: one parameter set for all, compared with the measured loops.
 
     python lab/benchmarks/rod_fit.py LOG.csv ... [--out FOLDER] [--seed 0] [--starts 2] [--check]
 
@@ -56,7 +56,7 @@ def decoded(x: Vec, start: RodParameters) -> RodParameters:
 
 
 def encoded(p: RodParameters) -> Vec:
-    """The point of the unit cube."""
+    """Point of the unit cube for given parameters."""
     x = []
     for name, (low, high) in FREE.items():
         value = min(max(getattr(p, name), low), high)
@@ -65,7 +65,7 @@ def encoded(p: RodParameters) -> Vec:
 
 
 def free_run(p: RodParameters, trial: Trial, start_mm: float) -> Vec:
-    """Angles (T,) [deg] of a virgin device whose tendon was pulled by `start_mm` more."""
+    """Angles (T,) [deg] of a virgin device with `start_mm` of additional initial pull."""
     device = RodCatheter(replace(p, pretension_mm=p.pretension_mm + start_mm))
     return device.advance(device.virgin(), trial.command, trial.dt, np.random.default_rng(0)).angle
 
@@ -103,7 +103,7 @@ def identify(trials: Sequence[Trial], seed: int, starts: int, own_starts: bool) 
 
 
 def pull(p: RodParameters, trial: Trial) -> float:
-    """How much more the tendon was pulled before this log [mm], by least squares."""
+    """Additional initial pull of the tendon before this log [mm], by least squares."""
     found = minimize_scalar(
         lambda s: float(np.sum((free_run(p, trial, s) - trial.angle) ** 2)),
         bounds=START_MM,
@@ -114,7 +114,7 @@ def pull(p: RodParameters, trial: Trial) -> float:
 
 
 def rmse(p: RodParameters, trial: Trial, start_mm: float) -> tuple[float, float]:
-    """RMSE [deg] of the whole log, and from the first reversal of the command on."""
+    """Root mean square error [deg] of the whole log, and from the first reversal of the command on."""
     error = free_run(p, trial, start_mm) - trial.angle
     later = error[int(np.argmax(trial.command)) :]
     return float(np.sqrt(np.mean(error**2))), float(np.sqrt(np.mean(later**2)))
@@ -133,7 +133,7 @@ def report(p: RodParameters, trials: Sequence[Trial], own: Vec) -> None:
 
 
 def draw(p: RodParameters, trials: Sequence[Trial], own: Vec, folder: Path) -> None:
-    """Recorded loops and the rod's, one panel a log, as SVG and PNG."""
+    """Draw recorded and simulated loops, one panel a log, as SVG and PNG."""
     rows = -(-len(trials) // 3)
     with new_figure(7.2, 0.5 + 2.4 * rows) as figure:
         grid = figure.subplots(rows, 3, sharex=True, sharey=True, squeeze=False).ravel()

@@ -69,27 +69,24 @@ _PLANT = {
     "mismatch": {"prandtl_ishlinskii.alpha": 1.2},
 }
 _BESIDE_S = 0.02  # between a miss and a stall that explains it
-_PRIORITY, _DEVICE_PRIORITY = 80, 80  # of SCHED_FIFO: the device is no less than what looks at the samples
+_PRIORITY, _DEVICE_PRIORITY = 80, 80  # priorities of SCHED_FIFO; the device's is not below the observer's
 
 
 @dataclass(frozen=True)
 class Soaked:
-    """One run.
+    """Result of one run.
 
     Attributes:
-        transport, rate_hz: of the run.
-        ended: empty for a run that came to its end, else the last thing it said.
-        samples, missed, skipped: of the run.
+        ended: empty for a complete run, else its last message.
         execution, jitter: `median_s`, `p99_s`, `greatest_s` and others, see `TimingSummary`, and `least_s` of the
             samples that were planned [s].
-        tracking_deg: RMS of measured less wanted angle [deg].
-        sources: tracking samples by what gave the command.
-        floor: what the sleeping process saw meanwhile.
+        tracking_deg: RMS of measured minus reference angle [deg].
+        sources: tracking samples by source of the command.
+        floor: statistics of the sleeping process during the run.
         beside_stall: missed samples at whose time the sleeper was late, too.
-        taken_s: processor time that a host took from this machine meanwhile [s]; NaN where that is not told.
-        refused: what of the run's scheduling the system did not permit.
-        in_c: samples that were taken whole in C.
-        left_c: how often Python had to go on, by why.
+        taken_s: processor time that a host took from this machine during the run [s]; NaN if unknown.
+        refused: scheduling settings that the system did not permit.
+        left_c: number of returns to Python by reason.
     """
 
     transport: str
@@ -112,7 +109,7 @@ class Soaked:
 
 @dataclass(frozen=True)
 class Row:
-    """A run over a wire, the same run in process, and the misses of a loop that only spins."""
+    """Run over a wire, the same run in process, and the misses of a loop that only spins."""
 
     wire: Soaked
     in_process: Soaked
@@ -120,18 +117,18 @@ class Row:
 
     @property
     def ratio(self) -> float:
-        """Tracking error over the wire by that in process."""
+        """Tracking error over the wire divided by that in process."""
         return self.wire.tracking_deg / self.in_process.tracking_deg
 
     @property
     def passed(self) -> bool:
-        """No deadline missed, the error within the bar, both runs at their end."""
+        """Whether no deadline was missed, the error is within the bar, and both runs are complete."""
         return not (self.wire.ended or self.in_process.ended) and self.wire.missed == 0 and self.ratio <= RATIO
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What to do: `controller` is one of the control study's, with its settings at the rate in the device's time."""
+    """Plan of the runs; `controller` is one of the study `control`, with settings at the rate in the device's time."""
 
     rate_hz: float
     minutes: float
@@ -143,7 +140,7 @@ class Plan:
 
 
 def configurations(folder: Path, plan: Plan, transport: str) -> tuple[Path, dict[str, Any]]:
-    """The device's file, and the run's settings but for the device's port."""
+    """Settings of the device, and of the run except the device's port."""
     rate_hz, faster = plan.rate_hz, plan.faster
     plant, scan_hz = {**_PLANT, "lag_s": _LAG_S / faster}, _SCAN_HZ * faster
     limits = {**RUN["limits"], "rate_per_s": faster * RUN["limits"]["rate_per_s"]}
@@ -173,17 +170,13 @@ def configurations(folder: Path, plan: Plan, transport: str) -> tuple[Path, dict
 
 
 def _plays(plan: Plan, folder: Path) -> str:
-    """The shipped Prandtl-Ishlinskii model at the sample time of the loop, which play operators do not mind."""
+    """Shipped Prandtl-Ishlinskii model at the sample time of the loop, which does not affect play operators."""
     save_simulator(load_simulator(library_file("pi")).at_sample_time(1 / plan.rate_hz), folder / "pi.yaml")
     return "pi.yaml"
 
 
 def _network(plan: Plan, folder: Path) -> str:
-    """The shipped LSTM for the faster device: the same network, its sample time and rates in that device's time.
-
-    Raises:
-        ConfigError: if a sample of the loop is not one of the network.
-    """
+    """Shipped LSTM for the faster device, with its sample time and rates in that device's time."""
     shipped = load_onnx(library_file("lstm"), "conditioned")
     known, faster = shipped.metadata, plan.faster
     if abs(plan.rate_hz * known.dt_s - faster) > 1e-9 * faster:
@@ -204,7 +197,7 @@ def _scheduling(plan: Plan, priority: int) -> dict[str, Any]:
 
 
 def soak(folder: Path, plan: Plan, transport: str) -> Soaked:
-    """One run in a new folder, with a device process where there is a wire, while the sleeping loop runs."""
+    """Execute one run in a new folder, with a device process for a wire, while the sleeping loop runs."""
     device_file, run = configurations(folder, plan, transport)
     device = None
     try:
@@ -227,7 +220,7 @@ def soak(folder: Path, plan: Plan, transport: str) -> Soaked:
 
 
 def stolen_s() -> float:
-    """Processor time that a host has taken from this machine since its start [s]; NaN where that is not told."""
+    """Processor time that a host has taken from this machine since its start [s]; NaN if unknown."""
     try:
         ticks = Path("/proc/stat").read_text(encoding="utf-8").splitlines()[0].split()[8]
         return int(ticks) / os.sysconf("SC_CLK_TCK")
@@ -236,7 +229,7 @@ def stolen_s() -> float:
 
 
 def spun(plan: Plan, busy_s: float) -> Floor:
-    """The bare loop alone, busy for so long in every period."""
+    """Run the bare loop alone, with the given spinning time in every period."""
     seconds = max(60.0 * plan.minutes, 2.0)
     with tempfile.TemporaryDirectory() as scratch:
         file = Path(scratch) / "spun.npy"
@@ -265,7 +258,6 @@ def sleeping(file: Path, plan: Plan) -> Any:
 
 
 def _measured(folder: Path, transport: str, rate_hz: float, ended: str, taken_s: float) -> Soaked:
-    """The figures of a run from what it left."""
     if not (folder / "run" / "timing.json").exists():
         raise ConfigError(f"{transport} at {rate_hz:g} Hz: the run did not begin: {ended}")
     run = RunFolder.open(folder / "run")
@@ -303,7 +295,7 @@ def _numbers(column: object) -> NDArray[np.float64]:
 
 
 def soaks(folder: Path, plan: Plan, transports: Sequence[str]) -> list[Row]:
-    """The same run in process and over every transport, one after another."""
+    """Execute the same run in process and over every transport in sequence."""
     rows: list[Row] = []
     in_process = soak(folder / f"in-process-{plan.rate_hz:g}hz", plan, IN_PROCESS)
     for name in transports:
@@ -313,7 +305,7 @@ def soaks(folder: Path, plan: Plan, transports: Sequence[str]) -> list[Row]:
 
 
 def lines_of(rows: Sequence[Row]) -> list[tuple[str, ...]]:
-    """Lines of the table: one column a run over a wire."""
+    """Lines of the table, with one column for each run over a wire."""
     figures = [_figures(row) for row in rows]
     sources = sorted({name for row in rows for name in row.wire.sources})
     lines = [(name, *(found[name] for found in figures)) for name in figures[0]]
@@ -350,7 +342,7 @@ def _figures(row: Row) -> dict[str, str]:
 
 
 def main() -> int:
-    """Print the table; 0 if every bar is reached."""
+    """Print the table; return 0 if every bar is reached."""
     usable = [name for name, one in CONTROLLERS.items() if one.predictive and one.model not in ("hb2", "oracle")]
     given = asked(
         __doc__,
@@ -385,7 +377,7 @@ def main() -> int:
                     given.faster,
                 )
                 rows += soaks(given.out or Path(scratch), plan, given.transport or WIRES)
-        except HystmpcError as error:  # what is done by then is told all the same
+        except HystmpcError as error:  # the results so far are still printed
             failure = f"error: {error}"
     if rows:
         _tell(rows, given.json)

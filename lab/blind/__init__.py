@@ -1,1 +1,1 @@
-"""The blind check of the diagnosis: sealed cases, their diagnosis, their score."""
+"""Blind check of the diagnosis: sealed cases, their diagnosis, their score."""

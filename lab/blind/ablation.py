@@ -30,12 +30,12 @@ RESULT = "ablation.json"
 
 @dataclass(frozen=True)
 class Ablated:
-    """One component and what became of its name.
+    """One component and the diagnosis of a simulator without it.
 
     Attributes:
-        with_deg, without_deg: RMSE on trials left out, with it and without, the rest of the baseline refitted [deg].
-        floor_deg: what no simulator can go below on these logs [deg].
-        standard_errors: of the rise of the mean square error, that this rise is.
+        with_deg, without_deg: RMSE on held-out trials, with it and without, the rest of the baseline refitted [deg].
+        floor_deg: lower bound of the error of any simulator on these logs [deg].
+        standard_errors: rise of the mean square error, in standard errors.
     """
 
     component: str
@@ -49,7 +49,7 @@ class Ablated:
 
     @property
     def needed(self) -> bool:
-        """Whether the error rises by the floor or more without it; else its name is not asked for."""
+        """Whether the error without it rises by the floor or more; otherwise its name is not required."""
         return self.without_deg - self.with_deg >= self.floor_deg
 
     @property
@@ -59,14 +59,14 @@ class Ablated:
 
     @property
     def found(self) -> bool:
-        """Whether the component is among the names, or among those that stay ambiguous."""
+        """Whether the component is named, or among the names that stay ambiguous."""
         return self.component in (*self.said, *self.left_open)
 
 
 def ablate(
     trials: Sequence[Trial], simulator: Simulator, folder: Path, seed: int = 0, progress: Progress | None = None
 ) -> list[Ablated]:
-    """Take every component out in turn, and diagnose the simulator without it.
+    """Remove each component in turn, and diagnose the simulator without it.
 
     Where an effect has several operators they go together. The simulator without it is given as one of which nothing
     else is known: what it left of these logs would hold the component.
@@ -106,7 +106,7 @@ def components(chain: Chain) -> tuple[str, ...]:
 
 
 def without(simulator: Simulator, component: str) -> Simulator:
-    """The simulator without one component; its residuals are unknown."""
+    """Simulator without one component and with unknown residuals."""
     chain = replace(
         simulator.chain,
         before=tuple(o for o in simulator.chain.before if effect_of(o.name) != component),
@@ -117,13 +117,13 @@ def without(simulator: Simulator, component: str) -> Simulator:
 
 
 def answered(row: Ablated, said: DiagnosisReading) -> Ablated:
-    """The row with what a diagnosis said."""
+    """Row with the answer of a diagnosis."""
     groups = sorted({name for group in said.ambiguity for name in group} - set(said.claims))
     return replace(row, verdict=said.verdict, said=said.claims, left_open=tuple(groups) if said.claims else ())
 
 
 def _judged(trials: Sequence[Trial], simulator: Simulator) -> tuple[HeldOutErrors, float, float]:
-    """The refitted simulator, judged on trials left out in working units, the floor [deg], and deg in one of these."""
+    """Refitted simulator, its result on held-out trials, the floor [deg], and the size of a working unit [deg]."""
     prepared = prepare(trials, simulator, ordered=False)
     validation = CrossValidation(prepared.baseline, prepared.everything)
     retuned = validation.retuned()
@@ -140,7 +140,6 @@ def _row(component: str, whole: HeldOutErrors, less: HeldOutErrors, floor_deg: f
 
 
 def _asked(row: Ablated, trials: Sequence[Trial], less: Simulator, folder: Path, seed: int) -> Ablated:
-    """The row with the diagnosis' answer."""
     found, _ = conclude(find_causes(trials, less, seed=seed, ordered=False))
     data: dict[str, Any] = dict(found.as_json())
     save_simulator(less, folder / "sim.yaml")

@@ -1,4 +1,4 @@
-"""Measures over scored cases, and the requirements with their bounds, 90 % intervals and the cases that miss them."""
+"""Measures over scored cases, and the requirements with their bounds, 90 % intervals and violating cases."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ def rate(cases: Sequence[ScoredCase], hit: Callable[[ScoredCase], bool]) -> Rate
 
 
 def resampled(cases: Sequence[ScoredCase], measure: Callable[[Sequence[ScoredCase]], float]) -> tuple[float, float]:
-    """90 % interval of a measure that is no share: percentiles over resamples of the cases (Efron, Ann. Stat. 7, 1979).
+    """90 % interval of a measure other than a share: percentiles over resamples of the cases; NaN without a value.
 
-    Not-a-number where no resample gives a value.
+    Source: Efron, Ann. Stat. 7, 1979.
     """
     if not cases:
         return float("nan"), float("nan")
@@ -61,11 +61,7 @@ def resampled(cases: Sequence[ScoredCase], measure: Callable[[Sequence[ScoredCas
 
 @dataclass(frozen=True)
 class Confusion:
-    """Truth by guess.
-
-    Attributes:
-        counts: cases (R, C).
-    """
+    """Confusion matrix (R, C): number of cases by true class and answer."""
 
     truths: tuple[str, ...]
     guesses: tuple[str, ...]
@@ -73,7 +69,7 @@ class Confusion:
 
 
 def confusion(cases: Sequence[ScoredCase]) -> Confusion:
-    """Largest cause against best single answer; names first, then verdicts, empty ones left out."""
+    """Confusion matrix of largest cause and best single answer; names first, then verdicts, empty ones left out."""
     pairs = Counter((case.answer.truth, case.reading.guess) for case in cases)
     seen = {name for pair in pairs for name in pair}
     order = tuple(name for name in (*_ORDER, *sorted(seen - set(_ORDER))) if name in seen)
@@ -87,7 +83,7 @@ def confusion(cases: Sequence[ScoredCase]) -> Confusion:
 
 @dataclass(frozen=True)
 class Overlap:
-    """Sets said against sets true, over all cases together."""
+    """Overlap of named and true sets, over all cases together."""
 
     both: int
     said: int
@@ -95,29 +91,29 @@ class Overlap:
 
     @property
     def precision(self) -> float:
-        """Share of what was said that is true; not-a-number if nothing was said."""
+        """Share of the named effects that are true; not-a-number without names."""
         return self.both / self.said if self.said else float("nan")
 
     @property
     def recall(self) -> float:
-        """Share of what is true that was said."""
+        """Share of the true effects that are named."""
         return self.both / self.true if self.true else float("nan")
 
     @property
     def f1(self) -> float:
-        """Harmonic mean of both."""
+        """Harmonic mean of precision and recall."""
         return 2 * self.both / (self.said + self.true) if self.said + self.true else float("nan")
 
 
 def overlap(pairs: Iterable[tuple[Iterable[str], Iterable[str]]]) -> Overlap:
-    """Sum over cases of (said, true)."""
+    """Sum of the overlaps over cases of (named, true)."""
     sets = [(set(said), set(true)) for said, true in pairs]
     return Overlap(sum(len(s & t) for s, t in sets), sum(len(s) for s, _ in sets), sum(len(t) for _, t in sets))
 
 
 @dataclass(frozen=True)
 class Bin:
-    """Claims of like probability."""
+    """Claims of similar probability."""
 
     claims: int
     confidence: float
@@ -126,7 +122,7 @@ class Bin:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Probabilities against truth.
+    """Calibration of the claimed probabilities.
 
     Attributes:
         error: expected calibration error, the mean over claims of |confidence - right| of their bin.
@@ -137,7 +133,7 @@ class Calibration:
 
 
 def calibration(cases: Sequence[ScoredCase], bins: int = 10) -> Calibration:
-    """Calibration of every name put forward with a probability (M. P. Naeini et al., AAAI 2015)."""
+    """Calibration of all names with a probability (M. P. Naeini et al., AAAI 2015)."""
     claims = [
         (probability, name in truths_of(case))
         for case in cases
@@ -161,12 +157,12 @@ def _probabilities(reading: DiagnosisReading) -> tuple[float, ...]:
 
 
 def truths_of(case: ScoredCase) -> set[str]:
-    """Every name that would be true to say, contaminants included."""
+    """Names that are true for a case, contaminants included."""
     return {effect.label for effect in case.answer.effects if effect.label in NAMES - set(case.answer.without)}
 
 
 def chance(cases: Sequence[ScoredCase]) -> float:
-    """Top-1 that the same guesses would have, dealt to the cases at random: what the mere frequencies give."""
+    """Top-1 of the same answers after a random permutation of the cases, as the level of pure chance."""
     if not cases:
         return float("nan")
     truths = Counter(case.answer.truth for case in cases)
@@ -181,7 +177,7 @@ HEALTHY = ("none", "misset", "controls", "retuned")
 
 
 def bars(cases: Sequence[ScoredCase]) -> list[Bar]:
-    """All bars of the blind check; where nothing else is said at three floors or more on motions that can tell."""
+    """Requirements of the blind check; unless stated otherwise, at three floors or more on separating motions."""
     clear = [case for case in large(cases) if case.answer.separable]
     single, foreign = of_suites(clear, "single"), _foreign(clear)
     return [
@@ -207,9 +203,9 @@ def bars(cases: Sequence[ScoredCase]) -> list[Bar]:
 
 
 def metrics(cases: Sequence[ScoredCase]) -> list[Bar]:
-    """The DX competition's metrics, bounded by what its winner reached; only the last leaves out the small gaps.
+    """Metrics of the DX competition, bounded by the results of its winner; only the last leaves out the small gaps.
 
-    Detection rate: of the devices with a structural fault, those of which one is claimed, with a name or without.
+    Detection rate: share of the devices with a structural fault for which a fault is claimed, with a name or without.
     Source: DX 2025 competition on an engine, winner 0.87, 0 and 0.738.
     """
     faulty = [case for case in cases if case.answer.mains and case.answer.suite != "aliased"]
@@ -227,18 +223,18 @@ def _named(cases: Sequence[ScoredCase]) -> list[ScoredCase]:
 
 
 def closes_less_than_nothing(case: ScoredCase) -> bool:
-    """Whether an effect that is named, or all of them together, raises the error of the final trials."""
+    """Whether a named effect, or all of them together, raises the error of the final trials."""
     said = case.reading
     return min((*said.closed_shares, said.closed_share or 0.0)) < 0
 
 
 def true_probability(case: ScoredCase) -> float:
-    """Probability that the diagnosis gives the largest cause; 0 where it is not in the ranking."""
+    """Probability of the largest cause in the diagnosis; 0 if it is not in the ranking."""
     return dict(case.reading.ranking).get(case.answer.truth, 0.0)
 
 
 def _probability(cases: Sequence[ScoredCase]) -> Bar:
-    """Mean probability on the true class; a case counts as a miss below one half."""
+    """Mean probability of the true class; a case counts as a miss below one half."""
 
     def mean(some: Sequence[ScoredCase]) -> float:
         return float(np.mean([true_probability(case) for case in some])) if some else float("nan")
@@ -249,7 +245,7 @@ def _probability(cases: Sequence[ScoredCase]) -> Bar:
 
 
 def _sets(suite: str, cases: Sequence[ScoredCase], bound: float) -> tuple[Bar, Bar]:
-    """Precision and recall of the names said, over all cases together."""
+    """Precision and recall of the names, over all cases together."""
 
     def precision(some: Sequence[ScoredCase]) -> float:
         return overlap((case.reading.claims, case.answer.labels) for case in some).precision
@@ -272,13 +268,13 @@ def alarm(case: ScoredCase) -> bool:
 
 
 def confidently_wrong(case: ScoredCase) -> bool:
-    """Whether a name that is not true is given as the answer, with a probability of 0.8 or more."""
+    """Whether a false name is the answer with a probability of 0.8 or more."""
     said = case.reading
     return said.verdict == "named" and said.guess not in truths_of(case) and said.confidence >= _CONFIDENT
 
 
 def true_share(case: ScoredCase) -> float:
-    """Share of the gap that the effects make up on the final trials, from the floor that the diagnosis counts from.
+    """True closed share: part of the gap closed by the effects on the final trials, above the diagnosis' floor.
 
     closed = (MSE_retuned - MSE_with) / (MSE_retuned - MSE_floor) with MSE_with = noise^2 + form^2 and
     MSE_retuned = noise^2 + retuned^2, cut to 0..1: a floor above what is left counts model-form error as floor.
@@ -294,14 +290,14 @@ def true_share(case: ScoredCase) -> float:
 
 
 def _on_final(case: ScoredCase, by_trial: Sequence[float]) -> float:
-    """Mean square over the final trials of an error given by trial [deg^2]; 0 where they are not known."""
+    """Mean square over the final trials of an error given by trial [deg^2]; 0 if they are unknown."""
     numbers = [int(found.group(1)) for name in case.reading.final_trials if (found := TRIAL.search(name))]
     kept = [by_trial[n - 1] ** 2 for n in numbers if n <= len(by_trial)]
     return float(np.mean(kept)) if kept else 0.0
 
 
 def _foreign(cases: Sequence[ScoredCase]) -> list[ScoredCase]:
-    """Cases whose cause the library does not have: foreign effects, and classes left out."""
+    """Cases whose cause is missing in the library: foreign effects, and classes left out."""
     return [case for case in of_suites(cases, "unknown", "without") if case.answer.truth == UNKNOWN]
 
 
@@ -315,7 +311,7 @@ def _share(
 
 
 def _oracle(cases: Sequence[ScoredCase]) -> Bar:
-    """Mean deficit of the closed share to that of a diagnosis that knows the class."""
+    """Mean deficit of the closed share compared with a diagnosis that is given the class."""
     told = [case for case in cases if case.oracle is not None]
 
     def behind(case: ScoredCase) -> float:
@@ -330,10 +326,7 @@ def _oracle(cases: Sequence[ScoredCase]) -> Bar:
 
 
 def _coverage(cases: Sequence[ScoredCase]) -> Bar:
-    """Share of intervals of the closed share that hold what is closed in another session of the device.
-
-    Only where exactly the true effects were named: what a wrong name closes is nobody's truth.
-    """
+    """Share of intervals of the closed share that cover it in another session, for exactly the true effects named."""
     told = [case for case in rightly_named(cases) if case.again is not None]
 
     def covered(case: ScoredCase) -> bool:
@@ -351,7 +344,7 @@ def rightly_named(cases: Sequence[ScoredCase]) -> list[ScoredCase]:
 
 
 def covers_perfection(cases: Sequence[ScoredCase]) -> Rate:
-    """Share of those intervals that hold what a perfect equation of the named class would close (`true_share`)."""
+    """Share of those intervals that cover the closed share of a perfect equation of the class (`true_share`)."""
 
     def covered(case: ScoredCase) -> bool:
         low, high = case.reading.closed_ci90 or (0.0, 0.0)
@@ -362,7 +355,7 @@ def covers_perfection(cases: Sequence[ScoredCase]) -> Rate:
 
 
 def _localisation(cases: Sequence[ScoredCase]) -> Bar:
-    """F1 of the dense regions, over those regions of which the diagnosis says anything."""
+    """F1 of the dense regions, over the regions with a statement in the diagnosis."""
     told = [case for case in cases if case.reading.densities]
 
     def truth(case: ScoredCase) -> set[str]:
@@ -377,7 +370,7 @@ def _localisation(cases: Sequence[ScoredCase]) -> Bar:
 
 
 def _calibrated(cases: Sequence[ScoredCase]) -> Bar:
-    """Over all names put forward; the count is of names, the misses are the cases of a sure and false one."""
+    """Calibration bar over all names; the count is of names, the misses are cases with a sure and false name."""
     told = of_suites(cases, "single", "pairs", "triple", "contaminated", "unknown", "configuration", *HEALTHY)
     found = calibration(told)
     misses = tuple(case.name for case in told if confidently_wrong(case))
@@ -386,16 +379,15 @@ def _calibrated(cases: Sequence[ScoredCase]) -> Bar:
 
 
 def _resolved(cases: Sequence[ScoredCase]) -> Bar:
-    """Share of ambiguities of which, after the proposed motion was recorded, what is true is left and nothing else."""
+    """Share of ambiguities that are resolved correctly after the proposed motion was recorded."""
     asked = [case for case in cases if case.reading.verdict == "one_of" and case.followed is not None]
     return _share("ambiguities that the next motion resolves", asked, resolved, 0.80)
 
 
 def resolved(case: ScoredCase) -> bool:
-    """Whether the diagnosis with the proposed motion leaves nothing open, and is right about what was open.
+    """Whether the diagnosis with the proposed motion leaves nothing open, and is right about the open effects.
 
-    Of the effects that were open it names those that are true. Where none of them is, it names none of them, and
-    nothing else that is false.
+    It names those open effects that are true, and nothing else that is false.
     """
     said, true = case.followed, truths_of(case)
     if said is None or said.verdict not in ("named", "none", "retuned"):
@@ -407,7 +399,7 @@ def resolved(case: ScoredCase) -> bool:
 
 
 def orders_bar(said: Mapping[str, tuple[frozenset[str], ...]]) -> Bar:
-    """Share of the diagnoses in other orders of the files that name the most frequent set of their case.
+    """Share of the diagnoses in other file orders that name the most frequent set of their case.
 
     The interval takes them as independent, which those of one case are not.
     """
@@ -418,7 +410,7 @@ def orders_bar(said: Mapping[str, tuple[frozenset[str], ...]]) -> Bar:
 
 
 def orders_of(folder: Path) -> tuple[list[tuple[str, int, str]], Bar]:
-    """Names said in each order, the answers being sealed: rows of case, orders, and sets with their counts; the bar."""
+    """Table of the names in each file order (case, orders, sets with counts), and the bar; answers stay sealed."""
     said = {name: orders_said(folder, name) for name in read_manifest(folder).cases}
     told = {name: sets for name, sets in said.items() if sets}
     words = {

@@ -55,7 +55,7 @@ class Bench:
 
     @property
     def floor_deg(self) -> float:
-        """Noise and model-form error together [deg]."""
+        """Noise and model-form error combined [deg]."""
         return float(np.hypot(self.device.noise_deg, self.ruler.base.rmse_deg))
 
     def angles(self, effects: Sequence[Withheld]) -> list[Vec]:
@@ -63,7 +63,7 @@ class Bench:
         return self.device.with_effects(effects).true_angles(self.plan.commands)
 
     def facts(self) -> dict[str, object]:
-        """Fields of an answer that are known before any effect is chosen."""
+        """Fields of an answer that are known before the choice of an effect."""
         return {
             "plan": self.plan.name,
             "motions": self.plan.types,
@@ -85,10 +85,9 @@ def set_up(
     plan: str | None = None,
     moved: Callable[[Core], Core] | None = None,
 ) -> Bench:
-    """Draw a device, identify its simulator, draw what it is off by and what is recorded.
+    """Draw a device, identify its simulator, and draw its parameter deviations and the recording plan.
 
     Args:
-        kind: of the device.
         spread: of the mounting; 0 keeps the device as it was identified.
         plan: of the recording; drawn where left out.
         moved: what became of the device since it was identified; its friction is then mounted as it is.
@@ -134,7 +133,7 @@ def _bench(
 
 
 def _identified(baseline: str, trials: Sequence[Trial], travel: float) -> Simulator:
-    """As `hystmpc fit` does it, from one start instead of several."""
+    """Identify the simulator as `hystmpc fit`, but from one start instead of several."""
     start = _start(baseline, trials)
     chain = fit_chain([start], trials, OperatorFitSettings(restarts=0, evaluations=30, tolerance=1e-5)).chain
     limits = DeviceLimits(Range(lower=0.0, upper=travel), _STROKES_PER_S * travel)
@@ -187,12 +186,11 @@ def _power(before: tuple[float, float] | None, now: tuple[float, float], power: 
 
 @dataclass(frozen=True)
 class Wish:
-    """An effect that a case shall have.
+    """Requested effect of a case.
 
     Attributes:
         label: of the effect; one of its generators is drawn.
         ratio: gap after retuning, in floors.
-        main: a cause, or a smaller contaminant.
         pick: which of the label's generators, counted round; drawn where left out.
         shape: numbers of the generator; drawn where left out.
     """
@@ -207,7 +205,7 @@ class Wish:
 def affected_case(
     bench: Bench, suite: Suite, wishes: Sequence[Wish], without: tuple[str, ...] = (), variant: str = ""
 ) -> Case:
-    """A case with these effects; without any, the device is only off its nominal numbers."""
+    """Case with these effects; without any, the device only deviates from its nominal parameters."""
     made = [_effect(bench, wish) for wish in wishes]
     effects, answers = [effect for effect, _ in made], [answer for _, answer in made]
     trials = bench.device.with_effects(effects).record(bench.plan.commands)
@@ -228,7 +226,7 @@ def affected_case(
 
 
 def _second(effects: Sequence[Withheld], trials: int) -> tuple[int, ...]:
-    """Numbers of the trials, from 1, that were recorded in a second configuration."""
+    """Numbers of the trials, from 1, in the second configuration."""
     bits = [int(e.shape["second"]) for e in effects if e.generator.label == CONFIGURATION]
     return tuple(k + 1 for k in range(trials) if bits and bits[0] >> k & 1)
 
@@ -253,7 +251,7 @@ def _effect(bench: Bench, wish: Wish) -> tuple[Withheld, EffectAnswer]:
 
 
 def _gap(bench: Bench, effects: Sequence[Withheld]) -> dict[str, Any]:
-    """Error that a refit of the baseline leaves, without noise; share of the effects in it; its density by region."""
+    """Error after a refit of the baseline, without noise; share of the effects in it; its density by region."""
     angles = bench.angles(effects)
     tuned = retune(bench.simulator, bench.plan.commands, angles)
     form, whole = bench.ruler.base.rmse_deg**2, tuned.rmse_deg**2
@@ -271,11 +269,11 @@ def _gap(bench: Bench, effects: Sequence[Withheld]) -> dict[str, Any]:
 
 
 def control_case(bench: Bench, variant: str) -> Case:
-    """A case of one of the `CONTROLS`.
+    """Case of one of the `CONTROLS`.
 
-    Shuffled residual: what the retuned simulator leaves of the real logs, its samples in random order, added to that
-    simulator: its size is kept and its structure gone. Simulator and noise: the retuned simulator itself. Mis-set: the
-    device off its nominal numbers, and nothing else.
+    Shuffled residual: the residual of the retuned simulator on the real logs, in random order, added to that
+    simulator: its size is kept and its structure destroyed. Simulator and noise: the retuned simulator itself. Mis-set:
+    the device with deviating parameters, and nothing else.
     """
     trials = bench.device.record(bench.plan.commands)
     if variant != "mis_set":
@@ -339,7 +337,7 @@ def _quantised(angle: Vec, t: Vec, clock: float, size: float, random: np.random.
 
 
 def _drifting(angle: Vec, t: Vec, clock: float, size: float, random: np.random.Generator) -> Vec:
-    """`size` [deg/min] over the session, with a random walk about it."""
+    """Drift of `size` [deg/min] over the session, with a random walk."""
     walk = np.cumsum(random.standard_normal(t.size)) * np.sqrt((t[1] - t[0]) / 60)
     return angle + size * ((clock + t) / 60 + 0.15 * walk)
 
@@ -353,10 +351,10 @@ INJECTIONS = (
 
 
 def injection_case(logs: Sequence[Trial], number: int, random: np.random.Generator) -> Case:
-    """The logs with one effect in their angles, and a backlash identified on the logs as they were.
+    """Logs with one effect added to their angles, and a backlash identified on the unchanged logs.
 
-    The gap of these logs without the injection is that of the real device; the ratio counts in it. Where the greatest
-    size comes first the ratio is smaller than was wanted.
+    The gap of these logs without the injection is that of the real device, the unit of the ratio. If the greatest
+    size is reached first, the ratio is smaller than requested.
 
     Raises:
         ConfigError: if there are fewer than two logs.
@@ -382,7 +380,7 @@ def injection_case(logs: Sequence[Trial], number: int, random: np.random.Generat
         suite="injection",
         variant=Path(logs[0].source).parent.name,
         effects=(effect,),
-        separable=False,  # nobody planned these motions
+        separable=False,  # these motions were not planned for separation
         plan="recorded",
         motions=tuple("recorded" for _ in logs),
         floor_deg=fit.rmse_deg,
@@ -403,7 +401,7 @@ def _changed(logs: Sequence[Trial], injection: Injection, size: float, seed: int
 
 
 def _injected_gap(simulator: Simulator, logs: Sequence[Trial], changed: Sequence[Trial]) -> float:
-    """RMSE that a refit leaves of the change, which is added to the simulator's free runs [deg]."""
+    """RMSE of the change after a refit, with the change added to the simulator's free runs [deg]."""
     commands = [trial.command for trial in logs]
     base = retune(simulator, commands, [trial.angle for trial in logs])
     target = [run + (b.angle - a.angle) for run, a, b in zip(base.angles, logs, changed, strict=True)]

@@ -1,4 +1,4 @@
-"""A device of the blind check: a core, withheld effects around it, and a sensor."""
+"""Device of the blind check: a core, withheld effects around it, and a sensor."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def lasts_s(samples: int) -> float:
 
 @dataclass(frozen=True)
 class BlindDevice:
-    """Command [mm or bar] to measured angle [deg].
+    """Simulated device from command [mm or bar] to measured angle [deg].
 
         x = drive effects(u),  theta = tip effects(core(x, friction effects(x))),  y = sensor effects(theta + noise)
 
@@ -45,7 +45,7 @@ class BlindDevice:
     effects: tuple[Withheld, ...] = ()
 
     def with_effects(self, effects: Sequence[Withheld]) -> BlindDevice:
-        """The same device with other effects."""
+        """Same device with other effects."""
         return replace(self, effects=tuple(effects))
 
     def true_angles(self, commands: Sequence[Vec]) -> list[Vec]:
@@ -53,7 +53,7 @@ class BlindDevice:
         return [self._angle(u, scene) for u, scene in zip(commands, self._scenes(commands), strict=True)]
 
     def record(self, commands: Sequence[Vec], first_trial: int = 0, clock_s: float = 0.0) -> list[Trial]:
-        """Logs of these commands, one after another.
+        """Record the logs of these commands in sequence.
 
         Args:
             commands: (T,) each [mm or bar], at `RATE_HZ`.
@@ -101,7 +101,7 @@ class BlindDevice:
 
 
 def core_of(numbers: Mapping[str, Any]) -> Core:
-    """The core of these numbers; see `Core.numbers`.
+    """Build the core of these parameters; see `Core.numbers`.
 
     Raises:
         ConfigError: on an unknown kind of device.

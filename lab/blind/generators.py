@@ -1,4 +1,4 @@
-"""Withheld effects of the blind check: each a function of its size, registered where it is defined.
+"""Withheld effects of the blind check: each is a function of its size, registered at its definition.
 
 A new one is a function under `@generates`; its equation must not be the library's.
 """
@@ -23,7 +23,7 @@ from ..devices.cores import FINE_S, PARTS, TRAVEL_MM, Scene, rise
 
 @njit(cache=True, error_model="numpy")
 def second_order(u: Any, dt: float, frequency: float, damping: float, out: Any) -> None:
-    """x'' = w^2 (u - x) - 2 zeta w x', semi-implicit, from rest at u[0]; w in rad/s."""
+    """Second-order lag x'' = w^2 (u - x) - 2 zeta w x', semi-implicit, from rest at u[0]; w in rad/s."""
     x, v = u[0], 0.0
     for k in range(u.size):
         v = (v + dt * frequency**2 * (u[k] - x)) / (1 + 2 * dt * damping * frequency + (dt * frequency) ** 2)
@@ -33,7 +33,7 @@ def second_order(u: Any, dt: float, frequency: float, damping: float, out: Any) 
 
 @njit(cache=True, error_model="numpy")
 def cascade(u: Any, dt: float, lag: float, inner: float, limit: float, out: Any) -> None:
-    """Position loop over a velocity loop, from rest at u[0]; stays behind a ramp by `lag` [s].
+    """Position loop over a velocity loop, from rest at u[0], with a delay of `lag` [s] on a ramp.
 
     x' = v,  v' = b (r - v) + b^2 / 4 q,  q' = r - v,  r = clip((u - x) / lag, +-limit),  b = inner / lag.
     """
@@ -83,7 +83,7 @@ def direction(x: Any, length: float, out: Any) -> None:
 
 @njit(cache=True, error_model="numpy")
 def plastic(bend: Any, dt: float, limit: float, exponent: float, rate: float, out: Any) -> None:
-    """Set s with unit hardening: s' = rate max(bend - limit - s, 0)^exponent (Norton and Hoff), which never shrinks."""
+    """Plastic set s with unit hardening: s' = rate max(bend - limit - s, 0)^exponent (Norton and Hoff)."""
     s = 0.0
     for k in range(bend.size):
         s += dt * rate * max(bend[k] - limit - s, 0.0) ** exponent
@@ -130,19 +130,19 @@ class Generator:
 
 @dataclass(frozen=True)
 class Withheld:
-    """A generator with its numbers."""
+    """Generator with its parameters."""
 
     generator: Generator
     size: float
     shape: Shape = field(default_factory=dict)
 
     def resized(self, size: float) -> Withheld:
-        """The same effect of another strength."""
+        """Same effect with another size."""
         return replace(self, size=size)
 
 
 def between(**ranges: tuple[float, float]) -> Draw:
-    """Draw uniform shape numbers."""
+    """Draw uniform shape parameters."""
     return lambda random: {name: float(random.uniform(*ends)) for name, ends in ranges.items()}
 
 
@@ -164,9 +164,9 @@ _LEAST_LAG_S = 4 * FINE_S
 
 @generates("lag", "drive", 0.05, 1.0, between(inner=(1.2, 2.6), strokes_per_s=(3.0, 12.0)))
 def cascaded_servo(u: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
-    """Servo of a position over a velocity loop, limited in speed, that stays behind a ramp by `size` [s].
+    """Servo of a position over a velocity loop, limited in speed, with a delay of `size` [s] on a ramp.
 
-    It stays behind by 8 ms at the least, below which it is not stable on the grid; its limit of speed remains.
+    The delay is at least 8 ms, below which it is not stable on the grid; the speed limit remains.
     """
     out = np.empty(u.size)
     cascade(u, FINE_S, max(size, _LEAST_LAG_S), shape["inner"], shape["strokes_per_s"] * scene.travel, out)
@@ -175,7 +175,7 @@ def cascaded_servo(u: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
 
 @generates("delay", "drive", 0.05, 1.0, between(jitter=(0.05, 0.25)))
 def jittered_delay(u: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
-    """Packets at the sample rate, each late by `size` (1 + jitter |n|) [s] and never before the one ahead of it."""
+    """Packets at the sample rate, each delayed by `size` (1 + jitter |n|) [s] without a change of order."""
     sent = np.arange(0, u.size, PARTS)
     random = scene.random("jittered_delay")
     late = size * (1 + shape["jitter"] * np.abs(random.standard_normal(sent.size)))
@@ -185,7 +185,7 @@ def jittered_delay(u: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
 
 @generates("slack", "drive", 0.3, 3.0)
 def fibre_toe(u: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
-    """Fibres that are recruited one after another: x = u - L (1 - exp(-u / L)) with L = `size` [mm of 6 mm]."""
+    """Fibres recruited one after another: x = u - L (1 - exp(-u / L)) with L = `size` [mm of 6 mm]."""
     del shape
     length = size * scene.travel / TRAVEL_MM
     return u - length * (1 - np.exp(-np.maximum(u, 0.0) / length))
@@ -193,14 +193,14 @@ def fibre_toe(u: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
 
 @generates("rate_dependence", "friction", 1.0, 60.0, between(power=(0.7, 1.2)))
 def viscous_wrap(u: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
-    """Friction factor 1 + `size` (|v| / v0)^a with a speed v that lags by a lubricant film's 30 ms."""
+    """Friction factor 1 + `size` (|v| / v0)^a with a speed v filtered by a lubricant film's 30 ms."""
     weights = np.exp(-np.arange(0, 5 * _SPEED_S, FINE_S) / _SPEED_S)
     speed = np.convolve(np.abs(rise(u)), weights / weights.sum())[: u.size]
     return 1 + size * (speed / scene.travel) ** shape["power"]
 
 
 def log_relaxation(signal: Vec, share: float, onset_s: float) -> Vec:
-    """Answer of a log-law solid: share * integral of ds(t') log10(1 + (t - t') / onset), the instant part left out."""
+    """Response of a log-law solid: share * integral of ds(t') log10(1 + (t - t') / onset), without the instant part."""
     t = np.arange(signal.size) * FINE_S
     kernel = share * np.log10(1 + t / onset_s)
     return np.asarray(fftconvolve(np.diff(signal, prepend=signal[0]), kernel)[: signal.size])
@@ -208,14 +208,14 @@ def log_relaxation(signal: Vec, share: float, onset_s: float) -> Vec:
 
 @generates("creep", "drive", 0.03, 0.4, between(onset_s=(0.2, 1.0)))
 def tendon_log_creep(u: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
-    """Tendon that stretches by a logarithmic law: x = u - log_relaxation(u); `size` is the share per decade."""
+    """Tendon with logarithmic creep: x = u - log_relaxation(u); `size` is the share per decade."""
     del scene
     return u - log_relaxation(u, size, shape["onset_s"])
 
 
 @generates("stick_slip", "tip", 2.0, 25.0, between(ratio=(0.3, 0.5), stribeck_deg_s=(5.0, 20.0)))
 def lugre_tip(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
-    """Tip that sticks in its lumen by LuGre friction; `size` is the break-away [deg of bending]."""
+    """Tip with LuGre friction in its lumen; `size` is the break-away [deg of bending]."""
     del scene
     out = np.empty(angle.size)
     lugre(angle, FINE_S, size, shape["ratio"], shape["stribeck_deg_s"], _LUGRE, out)
@@ -224,7 +224,7 @@ def lugre_tip(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
 
 @generates("contact", "tip", 1.0, 400.0, between(at=(0.5, 0.72)))
 def hertz_contact(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
-    """Wall that pushes back by Hertz's law beyond a bend a: free = y + `size` span ((y - a) / span)^1.5."""
+    """Wall with Hertzian contact beyond a bend a: free = y + `size` span ((y - a) / span)^1.5."""
     free, at = scene.unit(angle), shape["at"]
     deep = np.maximum(free - at, 0.0)
     y = deep.copy()
@@ -242,7 +242,7 @@ def weight(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
 
 @generates("asymmetry", "tip", 2.0, 30.0, between(turn=(0.02, 0.06), power=(1.6, 2.4)))
 def directional_stiffness(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
-    """Elasticity that depends on the direction: theta + `size` d p(theta), d a smoothed direction in -1..1."""
+    """Stiffness that depends on the direction: theta + `size` d p(theta), d a smoothed direction in -1..1."""
     d, bend = np.empty(angle.size), scene.unit(angle)
     direction(bend, shape["turn"], d)
     return angle + size * d * np.clip(bend, 0.0, 1.2) ** shape["power"]
@@ -250,7 +250,7 @@ def directional_stiffness(angle: Vec, scene: Scene, size: float, shape: Shape) -
 
 @generates("creep", "tip", 0.03, 0.4, between(onset_s=(0.2, 1.0)))
 def wall_log_creep(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
-    """Wall that creeps by a logarithmic law: theta + log_relaxation(theta), `size` the share per decade."""
+    """Wall with logarithmic creep: theta + log_relaxation(theta), `size` the share per decade."""
     del scene
     return angle + log_relaxation(angle, size, shape["onset_s"])
 
@@ -265,7 +265,7 @@ def _drift_shape(random: np.random.Generator) -> dict[str, float]:
 
 @generates("drift", "tip", 0.3, 10.0, _drift_shape)
 def thermal_drift(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
-    """Trend of `size` [deg/min] and a random walk about it over the whole session; it scales the bend or shifts it."""
+    """Drift of `size` [deg/min] and a random walk over the whole session; it scales the bend or shifts it."""
     random = scene.random("thermal_drift", every_trial=False)
     walk = np.cumsum(random.standard_normal(round(_SESSION_S / _WALK_S)))
     minutes = (scene.clock_s + np.arange(angle.size) * FINE_S) / 60
@@ -282,7 +282,7 @@ def thermal_drift(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     between(**{"yield": (0.1, 0.35), "exponent": (1.3, 2.0), "rate_per_s": (3.0, 12.0)}),
 )
 def plastic_set(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
-    """Set by viscoplastic flow with hardening beyond a yield bend, about `size` [deg]; it heals between trials."""
+    """Plastic set by viscoplastic flow with hardening beyond a yield bend, about `size` [deg], new in each trial."""
     bend, out = np.maximum.accumulate(scene.unit(angle)), np.empty(angle.size)
     plastic(bend, FINE_S, shape["yield"], shape["exponent"], shape["rate_per_s"], out)
     return angle + size * out / max(1 - shape["yield"], 0.05)
@@ -298,7 +298,7 @@ def remounting(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
 
 @generates("periodic_disturbance", "tip", 1.0, 20.0, between(rate_hz=(0.9, 1.7)))
 def heartbeat(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
-    """Pulse wave with a dicrotic notch, `size` [deg] high, at a rate that wanders by 2 % from beat to beat."""
+    """Pulse wave with a dicrotic notch, `size` [deg] high, at a rate that varies by 2 % from beat to beat."""
     random = scene.random("heartbeat")
     beats = int(angle.size * FINE_S * shape["rate_hz"] * 1.5) + 4
     ends = np.cumsum((1 + 0.02 * random.standard_normal(beats)) / shape["rate_hz"]) - random.uniform(0, 1) - 0.5
@@ -309,7 +309,7 @@ def heartbeat(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
 
 @generates("periodic_disturbance", "tip", 1.0, 20.0, between(rate_hz=(0.18, 0.35)))
 def breathing(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
-    """Breathing that rests at the end of expiration: `size` [deg] (1 - cos^4(pi f t)), Lujan's law."""
+    """Breathing with a rest at the end of expiration: `size` [deg] (1 - cos^4(pi f t)), Lujan's law."""
     phase = scene.random("breathing").uniform(0, 1)
     move = 1 - np.cos(np.pi * (shape["rate_hz"] * np.arange(angle.size) * FINE_S + phase)) ** 4
     return angle + size * (move - move.mean())
@@ -331,7 +331,7 @@ def heavy_tails(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
 
 @generates("sensor", "sensor", 10.0, 200.0, between(length_s=(0.3, 0.8)))
 def dropouts(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
-    """Stretches of `length_s`, about `size` of them a minute, in which the last value stands still."""
+    """Intervals of `length_s`, about `size` of them a minute, in which the last value is repeated."""
     random = scene.random("dropouts")
     length = max(round(25 * shape["length_s"]), 2)
     # One number a sample, compared with the size: a larger size keeps every dropout of a smaller one.
@@ -362,7 +362,7 @@ def telegraph_gain(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
 
 @generates(UNKNOWN, "tip", 2.0, 30.0, between(pause_s=(3.0, 8.0)))
 def cross_talk(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
-    """A second tendon, moved by somebody and not logged, bends the tip by up to `size` [deg]."""
+    """Second, unlogged tendon that bends the tip by up to `size` [deg]."""
     random = scene.random("cross_talk")
     seconds = angle.size * FINE_S
     at = np.sort(random.uniform(0, seconds, max(int(seconds / shape["pause_s"]), 2)))
@@ -375,7 +375,7 @@ def cross_talk(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
 
 @generates(UNKNOWN, "tip", 0.5, 20.0, between(frequency_hz=(1.2, 2.5), damping=(0.02, 0.06)))
 def tip_resonance(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
-    """Lightly damped tip that rings after every acceleration: theta + `size` (ringing - theta)."""
+    """Lightly damped tip that oscillates after every acceleration: theta + `size` (ringing - theta)."""
     del scene
     out = np.empty(angle.size)
     second_order(angle, FINE_S, 2 * np.pi * shape["frequency_hz"], shape["damping"], out)
@@ -383,7 +383,7 @@ def tip_resonance(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
 
 
 def _in_second(scene: Scene, shape: Shape) -> bool:
-    """Whether a trial was recorded in the second configuration; `second` holds a bit for each trial."""
+    """Whether a trial is in the second configuration; `second` holds a bit for each trial."""
     return bool(int(shape["second"]) >> scene.trial & 1)
 
 
@@ -427,7 +427,7 @@ NAMES = frozenset((*LABELS, CONFIGURATION))
 
 
 def generator_named(name: str) -> Generator:
-    """The generator of that name.
+    """Generator of that name.
 
     Raises:
         ConfigError: if there is none.

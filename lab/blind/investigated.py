@@ -1,4 +1,4 @@
-"""`hystmpc investigate` on the devices of single effects: whether it names the cause, and in how much device time."""
+"""Test of `hystmpc investigate` on the devices of single effects: correct cause and used device time."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ NEEDED = 0.5
 """Greatest share of the battery's device time that an investigation should need."""
 
 _BEYOND = 0.25  # of the angles of the case's trials: how far the sensor reads on either side
-_RATE_SHARE = 0.5  # of the device's rate: speed of the ways between motions
+_RATE_SHARE = 0.5  # speed between motions, as a share of the device's rate
 
 
 @final
 class CaseDevice(MovableDevice):
-    """The device of a blind case as an investigation moves it: each motion starts at rest, with noise of its own.
+    """Device of a blind case for an investigation: each motion starts at rest, with its own noise.
 
     Device time is what the plan of an investigation counts: motion, contact, approach and the way back.
     """
@@ -54,7 +54,7 @@ class CaseDevice(MovableDevice):
         self._device, self._played, self.used_s = device, 0, 0.0
 
     def explore(self, name: str, phase: Phase, bench: BenchSettings) -> None:
-        """Refused: an investigation does not explore.
+        """Always an error, since an investigation does not explore.
 
         Raises:
             NotImplementedError: always.
@@ -68,7 +68,7 @@ class CaseDevice(MovableDevice):
         return replace(trial, source=f"{name}.csv")
 
     def track(self, name: str, tip: TipSettings, reference: MotionSettings, bench: BenchSettings) -> Track:
-        """Refused: an investigation tracks nothing.
+        """Always an error, since an investigation tracks nothing.
 
         Raises:
             NotImplementedError: always.
@@ -78,7 +78,7 @@ class CaseDevice(MovableDevice):
 
 @dataclass(frozen=True)
 class InvestigationJob:
-    """One investigation to make."""
+    """Job of one investigation."""
 
     folder: Path
     case: str
@@ -94,12 +94,11 @@ class InvestigationJob:
 
 @dataclass(frozen=True)
 class ScoredInvestigation:
-    """One investigation with the true cause.
+    """Result of one investigation with the true cause.
 
     Attributes:
         case, truth: name of the case, and of its cause.
         ratio: gap that the cause leaves after retuning in the case's own trials, in floors.
-        verdict, said: of the investigation.
         device_s, battery_s: device time that it took, and that of the case's own trials [s].
     """
 
@@ -127,15 +126,14 @@ def investigate_blind(
 ) -> int:
     """Investigate the device of every case of a single effect that is large enough for the bars.
 
-    An investigation has the case's simulator and its device, no trial of it. What is done is kept.
+    An investigation has the case's simulator and its device, none of its trials. Complete investigations are kept.
 
     Args:
-        folder: made by `make_blind`.
         minutes: device time of each at most [min].
-        least: gap of a case, in floors, from which on it is investigated.
+        least: smallest gap of an investigated case, in floors.
 
     Returns:
-        Investigations that failed, in this call.
+        Number of investigations that failed in this call.
     """
     answers = open_answers(folder)
     todo = [
@@ -156,12 +154,12 @@ def _investigate(job: InvestigationJob) -> tuple[InvestigationJob, bool]:
         write_atomically(job.out / FAILURE, f"{type(made.raised).__name__}: {made.raised}\n")
         return job, False
     battery = sum(run_seconds(settings, len(trial)) for trial in trials)
-    write_atomically(job.out / BATTERY_FILE, json.dumps(battery))  # last: with it the case is done
+    write_atomically(job.out / BATTERY_FILE, json.dumps(battery))  # written last, as the mark of a complete case
     return job, True
 
 
 def _bench(job: InvestigationJob, trials: Sequence[Trial], simulator: Simulator) -> InvestigateSettings:
-    """The bench of a case: its travel and rate, and a sensor that reads beyond the angles of its trials."""
+    """Bench of a case: its travel and rate, and a sensor range wider than the angles of its trials."""
     command, rate = simulator.command_limits, simulator.command_rate_per_s
     angles = np.concatenate([trial.angle for trial in trials])
     beyond = _BEYOND * float(np.ptp(angles))
@@ -185,7 +183,7 @@ def _bench(job: InvestigationJob, trials: Sequence[Trial], simulator: Simulator)
 
 
 def scored_investigations(folder: Path) -> tuple[ScoredInvestigation, ...]:
-    """What was investigated so far, by case.
+    """Results of the investigations so far, by case.
 
     Raises:
         LogError: if a result cannot be read, or the answers are not those that were sealed.
@@ -218,5 +216,5 @@ def named_right(found: Sequence[ScoredInvestigation]) -> Rate:
 
 
 def time_share(found: Sequence[ScoredInvestigation]) -> float:
-    """Median of device time over that of the fixed battery; not-a-number without any."""
+    """Median of device time divided by that of the fixed battery of trials; not-a-number without any."""
     return float(np.median([one.device_s / one.battery_s for one in found])) if found else float("nan")

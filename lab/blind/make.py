@@ -1,4 +1,4 @@
-"""Suites of the blind check, and making one: cases under shuffled names, answers sealed."""
+"""Suites of the blind check and their creation: cases under shuffled names, answers sealed."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ _HARMONICS, _NEAR = (1, 2, 3), 0.9  # of the motion; greatest distance from one 
 
 
 def places(suite: str, cases: int | None = None, with_logs: bool = False) -> list[tuple[Suite, int]]:
-    """Suite of every case and its number within that suite; the first cases of a round hold all suites in proportion.
+    """Suite of every case and its number within it; the first cases of a round hold all suites in proportion.
 
     Args:
         cases: one round where left out.
@@ -89,7 +89,7 @@ def places(suite: str, cases: int | None = None, with_logs: bool = False) -> lis
 
 
 def make_case(seed: int, suite: Suite, number: int, logs: Sequence[Trial] = ()) -> Case:
-    """Case `number` of a suite; equal arguments give equal cases. Devices take turns within each suite."""
+    """Build case `number` of a suite; equal arguments give equal cases. Devices alternate within each suite."""
     key = (seed, _CODES[suite], number)
     if suite == "injection":
         return injection_case(logs, number, np.random.default_rng(key))
@@ -118,7 +118,7 @@ def make_case(seed: int, suite: Suite, number: int, logs: Sequence[Trial] = ()) 
 
 
 def device_of(suite: Suite, number: int) -> type[Core]:
-    """The devices take turns, shifted by one with every round through what else a suite deals out."""
+    """Device of a case: devices alternate, shifted by one with every round of the suite's other choices."""
     rounds = {"single": len(LABELS), "unknown": len(FOREIGN_EFFECTS), "retuned": len(_MOVES), "without": 2}
     rounds |= {"configuration": len(_MEANT)}
     place = (number + number // rounds.get(suite, len(DEVICES))) % len(DEVICES)
@@ -127,16 +127,12 @@ def device_of(suite: Suite, number: int) -> type[Core]:
 
 
 def _labels(kind: type[Core]) -> tuple[str, ...]:
-    """Effects that a case of this device can have at three floors.
-
-    The curves of a muscle's simulator take up a wall or a weight of any size when they are retuned, and its friction
-    cannot grow beyond its pull, so that friction which grows with speed stays small, too.
-    """
+    """Possible effects at three floors; a muscle, when retuned, absorbs a wall or weight and bounds its friction."""
     return tuple(label for label in LABELS if kind is not MuscleCore or label not in _SMALL_ON_A_MUSCLE)
 
 
 def _retuned(key: tuple[int, int, int], kind: type[Core], number: int) -> Case:
-    """The device with another friction, stiffness or weights, and mounted anew."""
+    """Device with different friction, stiffness or weights, and a new mounting."""
     what, factor = _MOVES[number % len(_MOVES)]
 
     def moved(core: Core) -> Core:
@@ -148,7 +144,7 @@ def _retuned(key: tuple[int, int, int], kind: type[Core], number: int) -> Case:
 
 
 def _configuration(key: tuple[int, int, int], kind: type[Core], number: int) -> Case:
-    """Two groups of trials, one after the other or mixed, that differ in width, gain, offset or in all of them."""
+    """Case of two groups of trials, consecutive or mixed, that differ in width, gain, offset or all of them."""
     bench = set_up(key, kind, plan="rich")
     trials = np.arange(len(bench.plan.commands))
     in_turn = (number + number // len(_MEANT)) % 2
@@ -162,7 +158,7 @@ def _configuration(key: tuple[int, int, int], kind: type[Core], number: int) -> 
 
 
 def _aliased(key: tuple[int, int, int], kind: type[Core], number: int) -> Case:
-    """One motion at one frequency, and something that may be taken for a disturbance of that frequency, or is one."""
+    """Case with all motions at one frequency, and an effect that is, or resembles, a disturbance at that frequency."""
     rounds, which = divmod(number, len(_ALIASES))
     plan = ALIASED[0 if which == 0 else rounds % 2]
     bench = set_up(key, kind, plan=plan)
@@ -178,7 +174,7 @@ def _aliased(key: tuple[int, int, int], kind: type[Core], number: int) -> Case:
 
 
 def _without(key: tuple[int, int, int], kind: type[Core], number: int) -> Case:
-    """A library without the true class, and every second time, as a decoy, without another one."""
+    """Case with a library without the true class or, every second time, as a decoy, without another class."""
     bench = set_up(key, kind, plan="rich")
     true, other = bench.random.choice(_labels(kind), 2, replace=False)
     decoy = number % 2 == 1
@@ -188,7 +184,7 @@ def _without(key: tuple[int, int, int], kind: type[Core], number: int) -> Case:
 
 
 def _together(key: tuple[int, int, int], kind: type[Core], suite: Suite) -> Case:
-    """Two or three causes of like size, or one with two contaminants of a third of its size."""
+    """Case of two or three causes of similar size, or of one with two contaminants of a third of its size."""
     bench = set_up(key, kind, plan="rich")
     labels = [str(x) for x in bench.random.choice(_labels(kind), 3, replace=False)]
     ratio = float(bench.random.choice(RATIOS[1:]))
@@ -203,7 +199,7 @@ def _together(key: tuple[int, int, int], kind: type[Core], suite: Suite) -> Case
 
 @dataclass(frozen=True, eq=False)
 class _CaseJob:
-    """One case to make."""
+    """Job of one case."""
 
     folder: Path
     seed: int

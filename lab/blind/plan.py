@@ -1,4 +1,4 @@
-"""Recording plans: the motions of a case [mm], their order, and the effects that they can tell apart."""
+"""Recording plans: the motions of a case [mm], their order, and the effects that they can separate."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _REST_S = 1.0
 
 @dataclass(frozen=True)
 class MotionType:
-    """A kind of motion and what it can show.
+    """Kind of motion and the effects that it can reveal.
 
     Attributes:
         shows: features that `separability` asks for.
@@ -35,7 +35,7 @@ def _clock(seconds: float) -> Vec:
 
 
 def _through(times: list[float], levels: list[float]) -> Vec:
-    """Straight lines through levels at times, after a short rest."""
+    """Straight lines through levels at given times, after a short rest."""
     t = np.concatenate([[0.0], _REST_S + np.array(times)])
     return np.interp(_clock(float(t[-1])), t, np.concatenate([[levels[0]], np.array(levels)]))
 
@@ -153,7 +153,7 @@ ALIASED = ("aliased triangles", "aliased sines")
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What one case records.
+    """Recording plan of one case.
 
     Attributes:
         commands: command by trial, (T,) each [mm or bar].
@@ -177,7 +177,7 @@ class Plan:
 
 
 def draw_plan(random: np.random.Generator, name: str | None = None, travel: float = TRAVEL_MM) -> Plan:
-    """A plan, every third one poor; unless it says otherwise, the opening motion is recorded again at the end.
+    """Draw a plan, every third one poor; unless stated otherwise, the first motion is recorded again at the end.
 
     Args:
         name: of the plan, one of `ALIASED` too; drawn where left out.
@@ -203,7 +203,7 @@ def _mixed(random: np.random.Generator, name: str | None) -> Plan:
 
 
 def _aliased(random: np.random.Generator, name: str) -> Plan:
-    """Three to six trials of triangles or of sines, all of one frequency, to heights that differ."""
+    """Three to six trials of triangles or of sines of one frequency, with different amplitudes."""
     frequency, kind = float(random.uniform(0.08, 0.3)), name.removeprefix("aliased ")
     commands = []
     for height in TRAVEL_MM * random.uniform(0.7, 1.0, int(random.integers(3, 7))):

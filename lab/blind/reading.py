@@ -1,4 +1,4 @@
-"""A diagnosis as the score reads it, and the cases with their answers."""
+"""Statements of a diagnosis in the form used by the score, and the cases with their answers."""
 
 from __future__ import annotations
 
@@ -30,15 +30,14 @@ class DiagnosisReading:
     """Statements of one diagnosis.
 
     Attributes:
-        verdict: one of `VERDICTS`, or `failed` where it ended with an error.
-        effects, probabilities: named, the one that closes most first: the truth's largest cause is asked for.
+        verdict: one of `VERDICTS`, or `failed` after an error.
+        effects, probabilities: named effects, largest closed share first, since the truth's largest cause is required.
         ranking: names with probabilities, most likely first.
         closed_share, closed_ci90: of the whole gap, with its interval where given.
-        floor_deg: that the closed share counts from [deg], where given.
-        densities: of the retuned error by region; None where it says nothing of that region.
-        others: guesses of rules beside it, by name of the rule.
-        final_trials: names of the trials that the closed share was measured on.
-        closed_shares: of each effect.
+        floor_deg: origin of the closed share [deg], where given.
+        densities: of the retuned error by region; None without a statement on that region.
+        others: answers of simple rules, by name of the rule.
+        final_trials: names of the trials on which the closed share was measured.
         groups: numbers of the trials of each configuration.
     """
 
@@ -58,7 +57,7 @@ class DiagnosisReading:
 
     @property
     def claims(self) -> tuple[str, ...]:
-        """Names that it puts forward: none unless the verdict is `named` or `one_of`."""
+        """Claimed names: none unless the verdict is `named` or `one_of`."""
         if self.verdict not in ("named", "one_of"):
             return ()
         if self.effects:
@@ -68,7 +67,7 @@ class DiagnosisReading:
 
     @property
     def guess(self) -> str:
-        """Its best single answer: the first name, or the verdict."""
+        """Best single answer: the first name, or the verdict."""
         claims = self.claims
         return claims[0] if claims else self.verdict
 
@@ -82,19 +81,19 @@ class DiagnosisReading:
         return dict(self.ranking).get(self.guess, 0.0)
 
     def probability_of(self, name: str) -> float:
-        """Greatest probability that it gives a name, as an effect or in the ranking; 0 where it does not."""
+        """Greatest probability of a name, as an effect or in the ranking; 0 if it is in neither."""
         return max(
             (p for n, p in (*zip(self.effects, self.probabilities, strict=True), *self.ranking) if n == name),
             default=0.0,
         )
 
     def may_be(self, name: str) -> bool:
-        """Whether it leaves `name` open: named, or in a set that it cannot tell apart together with what it named."""
+        """Whether `name` is possible: named, or in a set that is indistinguishable together with the named effects."""
         return name in self.claims or any(name in group for group in self.ambiguity)
 
     @property
     def dense_regions(self) -> frozenset[str]:
-        """Regions in which it says that the gap lies."""
+        """Regions in which the diagnosis locates the gap."""
         return frozenset(name for name, density in self.densities.items() if density >= DENSE)
 
 
@@ -112,7 +111,7 @@ def read_diagnosis(path: Path, others: Mapping[str, str] | None = None) -> Diagn
 
 
 def reading_of(data: Mapping[str, Any], others: Mapping[str, str] | None = None) -> DiagnosisReading:
-    """The statements in the plain data of a diagnosis.
+    """Extract the statements from the plain data of a diagnosis.
 
     Raises:
         ValueError: on an unknown verdict.
@@ -145,14 +144,13 @@ def _numbers(names: Sequence[str]) -> frozenset[int]:
 
 @dataclass(frozen=True)
 class ScoredCase:
-    """One case.
+    """One case with its answer and its diagnoses.
 
     Attributes:
-        followed: the diagnosis after the proposed motion was recorded, if it was.
-        oracle: closed share of a diagnosis that was told the classes, if one was made.
-        seconds: that the diagnosis took, if known.
-        again: share that the causes close in another session of the device, if it had one.
-        orders: names said in each other order of the files, if any was tried.
+        followed: the diagnosis after the proposed motion was recorded, if any.
+        oracle: closed share of a diagnosis that was given the classes, if any.
+        again: closed share of the causes in another session of the device, if any.
+        orders: names in each other order of the files, if any.
     """
 
     name: str
@@ -189,13 +187,12 @@ class ScoredCase:
         )
 
     def _groups(self) -> set[frozenset[int]]:
-        """Trials of either configuration, of those that the diagnosis puts into groups."""
         told, second = frozenset[int]().union(*self.reading.groups), frozenset(self.answer.second)
         return {told - second, told & second}
 
 
 def load_scored(folder: Path, partial: bool = False) -> list[ScoredCase]:
-    """Diagnoses with their opened answers.
+    """Read the diagnoses with their opened answers.
 
     Raises:
         LogError: if the answers are not those sealed, a diagnosis is damaged, or one is missing.
@@ -237,12 +234,12 @@ def _one(folder: Path, name: str, answer: Answer) -> ScoredCase:
 
 
 def orders_said(folder: Path, name: str) -> tuple[frozenset[str], ...]:
-    """Names that were said of a case in each other order of its files."""
+    """Names given for a case in each other order of its files."""
     return tuple(frozenset(read_diagnosis(p).claims) for p in sorted((folder / ORDERS).glob(f"*/{name}/{DIAGNOSIS}")))
 
 
 def of_suites(cases: Sequence[ScoredCase], *suites: str) -> list[ScoredCase]:
-    """Cases of some suites."""
+    """Cases of the given suites."""
     return [case for case in cases if case.answer.suite in suites]
 
 

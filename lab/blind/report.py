@@ -1,4 +1,4 @@
-"""The page of a blind check's score, with its figures."""
+"""Page of a blind check's score, with its figures."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ BAR_COLUMNS = ("measure", "number", "90 % interval", "goal", "cases", "state")
 
 
 def confusion_figure(confusion: Confusion) -> Figure:
-    """Truth by answer: shade by the share of the truth's cases, counts inside; frames mark confusable pairs."""
+    """Confusion matrix: shade by the share of the truth's cases, counts inside; frames mark confusable pairs."""
     counts = confusion.counts
     share = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
     rows, columns = counts.shape
@@ -48,7 +48,7 @@ def _frame(column: int, row: int) -> Rectangle:
 
 
 def bars_plot(score: Score) -> Plot:
-    """Each requirement: its number and 90 % interval, and in grey where it should lie; for shares and means in 0..1."""
+    """Plot of each requirement: its value and 90 % interval, and its target range in grey; shares and means in 0..1."""
     shown = [bar for bar in score.bars if bar.state != "not measured"][::-1]
     with new_figure(7.5, 0.9 + 0.27 * max(len(shown), 1)) as figure:
         axes = figure.add_subplot()
@@ -70,7 +70,7 @@ def bars_plot(score: Score) -> Plot:
 
 
 def rates_figure(tables: Sequence[tuple[str, dict[str, Rate]]]) -> Figure:
-    """Shares of right verdicts with 90 % intervals, one panel a table."""
+    """Plot of the shares of right verdicts with 90 % intervals, one panel a table."""
     widths = [max(len(rows), 2) for _, rows in tables]
     with new_figure(1.0 + 0.55 * sum(widths), 3.0) as figure:
         panels = figure.subplots(1, len(tables), sharey=True, squeeze=False, width_ratios=widths)[0]
@@ -89,7 +89,7 @@ def rates_figure(tables: Sequence[tuple[str, dict[str, Rate]]]) -> Figure:
 
 
 def calibration_figure(found: Calibration) -> Figure:
-    """Share of true names over their probability, by bin; area by the number of names."""
+    """Plot of the share of true names over their probability, by bin; area by the number of names."""
     with new_figure(3.6, 3.4) as figure:
         axes = figure.add_subplot()
         axes.plot([0, 1], [0, 1], color=REFERENCE, linewidth=0.8, linestyle="--")
@@ -104,7 +104,7 @@ def calibration_figure(found: Calibration) -> Figure:
 
 
 def closed_figure(points: Sequence[tuple[float, float, bool]]) -> Figure:
-    """Closed share that was claimed over the true one; filled where the truth was named."""
+    """Plot of the claimed closed share over the true one; filled if the truth was named."""
     with new_figure(3.6, 3.4) as figure:
         axes = figure.add_subplot()
         axes.plot([0, 1], [0, 1], color=REFERENCE, linewidth=0.8, linestyle="--")
@@ -124,7 +124,7 @@ def write_report(score: Score, folder: Path) -> Path:
 
 
 def blind_report(score: Score) -> Report:
-    """Bars, the competition's metrics, misses, confusion, sizes, motions, calibration."""
+    """Report of bars, the competition's metrics, misses, confusion, sizes, motions, calibration."""
     counts = {state: sum(bar.state == state for bar in score.bars) for state in ("met", "missed", "not measured")}
     pieces: list[Piece] = [
         Paragraph(
@@ -159,7 +159,7 @@ def blind_report(score: Score) -> Report:
 
 
 def bar_row(bar: Bar) -> tuple[str, str, str, str, int, str]:
-    """One bar as text."""
+    """Table row of one bar."""
     number = f"{bar.value:.3f}" if math.isfinite(bar.value) else "-"
     interval = f"{bar.ci90[0]:.2f} to {bar.ci90[1]:.2f}" if bar.ci90 and bar.cases else "-"
     return bar.name, number, interval, bar.goal, bar.cases, bar.state
@@ -217,7 +217,7 @@ def _shares(score: Score) -> Iterator[Piece]:
 
 
 def _missed(score: Score) -> Iterator[Piece]:
-    """Cases that speak against each requirement, by name; a met one may have some, too."""
+    """Violating cases of each requirement, by name; a met requirement may have some, too."""
     rows = [(bar.name, bar.state, ", ".join(bar.misses)) for bar in score.bars if bar.misses]
     if rows:
         yield Table(("measure", "state", "cases against it"), rows, "What was there and what was said stands below.")

@@ -1,4 +1,4 @@
-"""Gap of an effect: the error that a refitted baseline leaves of it."""
+"""Gap of an effect: its remaining error after a refit of the baseline."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from hystmpc.trials.types import Vec
 from ..devices.cores import RATE_HZ
 
 _STEPS = 25
-_DONE = 1e-4  # relative change of the loss at which a refit ends
+_DONE = 1e-4  # relative change of the loss that ends a refit
 
 
 @dataclass(frozen=True, eq=False)
 class Retuned:
-    """A baseline refitted to some angles.
+    """Baseline refitted to some angles.
 
     Attributes:
-        rmse_deg: that it leaves [deg].
+        rmse_deg: remaining error [deg].
         angles: its free runs, (T,) by trial [deg].
     """
 
@@ -35,10 +35,10 @@ class Retuned:
 
 
 def retune(simulator: Simulator, commands: Sequence[Vec], angles: Sequence[Vec]) -> Retuned:
-    """Refit the baseline, from where it is, to angles (T,) [deg] without noise under commands (T,) [mm or bar].
+    """Refit the baseline, from its present parameters, to angles (T,) [deg] without noise under commands (T,).
 
-    Levenberg-Marquardt on the normal equations: far cheaper than the library's own fit where there are ten thousand
-    samples and nine parameters, and enough from a start as near as this one.
+    Levenberg-Marquardt on the normal equations: far cheaper than the library's own fit with ten thousand
+    samples and nine parameters, and sufficient from a near start. Commands in mm or bar.
     """
     trials = [
         Trial(np.arange(u.size) / RATE_HZ, u, y, source=f"trial {k}")
@@ -50,11 +50,7 @@ def retune(simulator: Simulator, commands: Sequence[Vec], angles: Sequence[Vec])
 
 
 def _fitted(simulator: Simulator, trials: Sequence[Trial]) -> Vec:
-    """Parameters of the chain after the refit, within the freedom that the diagnosis retunes, too.
-
-    A parameter that is an effect by another name (the rate term of a Prandtl-Ishlinskii core, the ratio of a
-    backlash's slopes) stays where it is: a refit of it would hide the very effects that are measured here.
-    """
+    """Parameters of the chain after the refit; one that equals an effect stays fixed, since its refit would hide it."""
     command = np.concatenate([trial.command for trial in trials])
     baseline = baseline_of(simulator.chain, Range(lower=float(command.min()), upper=float(command.max())))
     runs = FreeRuns(simulator.chain, trials)
@@ -82,7 +78,7 @@ def _fitted(simulator: Simulator, trials: Sequence[Trial]) -> Vec:
 
 
 def _errors(runs: FreeRuns, baseline: Baseline, z: Vec) -> tuple[Vec, Vec]:
-    """Free-run errors and their derivative by the baseline's freedom; what ties this together counts as errors, too."""
+    """Free-run errors, regularisation terms included, and their derivative by the free parameters."""
     p, by_z = baseline.core_values(z)
     r, by_p = runs.residuals(p)
     if not baseline.roughness.size:
@@ -112,7 +108,7 @@ def rms(parts: Sequence[Vec]) -> float:
 
 @dataclass(frozen=True, eq=False)
 class GapRuler:
-    """Measures effects on one device and its motions.
+    """Measure of effects on one device and its motions.
 
     Attributes:
         commands: (T,) by trial [mm or bar].
@@ -130,9 +126,9 @@ class GapRuler:
         return cls(tuple(commands), tuple(plain), retune(simulator, commands, plain))
 
     def gap(self, affected: Sequence[Vec]) -> float:
-        """RMSE that a refit of the baseline leaves of the effect [deg].
+        """RMSE of the effect after a refit of the baseline [deg].
 
-        The change that the effect makes is added to what the baseline reproduces exactly, so that the model-form
+        The change by the effect is added to angles that the baseline reproduces exactly, so that the model-form
         error does not count.
         """
         target = [run + (a - p) for run, a, p in zip(self.base.angles, affected, self.plain, strict=True)]

@@ -1,4 +1,4 @@
-"""Simple rules to compare the diagnosis with: correlation of signatures, BIC, largest single fit."""
+"""Simple rules for comparison with the diagnosis: correlation of signatures, BIC, largest single fit."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NOTHING = "none"
 
 
 def correlation_rule(trials: Sequence[Trial], simulator: Simulator) -> str:
-    """Name whose one-line signature correlates most with what the retuned simulator leaves; `none` for little.
+    """Name whose one-line signature correlates most with the retuned simulator's residual; `none` for a small one.
 
     Signatures: speed (lag), acceleration (delay), |speed| times direction of loading (rate_dependence), time in the
     hold (creep), clock (drift), before the first reversal (first_flexure), low command (slack), high command
@@ -78,7 +78,7 @@ def _correlation(a: Vec, b: Vec) -> float:
 def fit_rules(selection: Selection, runs: Sequence[Run]) -> dict[str, str]:
     """Answers of the rules `bic` and `single fit`, from the fits of the selection.
 
-    A rule that chooses several names is asked for the one which alone lowers the error of the fit the most.
+    Of several names chosen by a rule, the one that alone lowers the error of the fit most is the answer.
     """
     alone = {next(iter(names)): judged.hypothesis.mse for names, judged in selection.tried.items() if len(names) == 1}
     chosen = bic_choice(selection.tried, runs)
@@ -119,7 +119,7 @@ def effective_samples(errors: Sequence[Vec]) -> float:
 
 
 def _free(hypothesis: Hypothesis, runs: Sequence[Run]) -> int:
-    """Numbers that a fit could choose."""
+    """Number of free parameters of a fit."""
     problem, q = hypothesis.problem, hypothesis.q
     count = q.size + bool(problem.terms.frequency_hz)
     if problem.terms.names:

@@ -1,4 +1,4 @@
-"""Diagnosing every case of a blind check, resumable; further motions and sessions of a case's device."""
+"""Diagnosis of every case of a blind check, resumable; further motions and sessions of a case's device."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ ORDERS = "orders"
 
 
 def record_motion(folder: Path, case: str, motion: Path) -> Path:
-    """Run a motion on a case's simulated device and write the log; neither log nor message tells the answer.
+    """Run a motion on a case's simulated device and write the log, without a hint at the answer.
 
     Args:
         motion: CSV with columns `time_s` and `command`, or `command_bar`.
@@ -65,7 +65,7 @@ def record_motion(folder: Path, case: str, motion: Path) -> Path:
 
 
 def record_again(folder: Path, case: str) -> list[Trial]:
-    """Another session of a case's motions on its device: other noise, other draws, the same effects.
+    """Record another session of a case's motions on its device: other noise and draws, same effects.
 
     Raises:
         ConfigError: on an unknown case, or one without a device.
@@ -98,12 +98,12 @@ def _command(path: Path, core: Core) -> np.ndarray[tuple[int], np.dtype[np.float
 
 @dataclass(frozen=True)
 class DiagnosisJob:
-    """One diagnosis to make.
+    """Job of one diagnosis.
 
     Attributes:
-        only: classes that the library is cut down to: the oracle's; empty for the blind diagnosis.
+        only: classes of the oracle's reduced library; empty for the blind diagnosis.
         kind: `diagnoses`, `follow_up_diagnoses`, `oracle` or `orders/NN`: the folder of the result.
-        shuffled: number of a random order of the files, in which case the order of recording is not told.
+        shuffled: number of a random order of the files; the order of recording is then withheld.
     """
 
     folder: Path
@@ -128,13 +128,12 @@ def run_blind(
     with_truth: bool = True,
     progress: Progress | None = None,
 ) -> int:
-    """Diagnose every case that has no diagnosis yet.
+    """Diagnose every case without a diagnosis.
 
     First all cases blindly; then, where asked for, the motions that the diagnoses propose are recorded and diagnosed
     with them; last, unless left out, the oracle: single effects with a library of nothing but the true class.
 
     Args:
-        folder: made by `make_blind`.
         follow_up: record and diagnose again where a next motion is proposed.
 
     Returns:
@@ -164,9 +163,7 @@ def run_orders(
     """Diagnose some cases in random orders of their files, the order of recording unknown; resumable.
 
     Args:
-        folder: made by `make_blind`.
         cases: how many; the first ones, which are drawn at random.
-        orders: of each.
 
     Returns:
         Diagnoses that failed, in this call.
@@ -186,7 +183,7 @@ def run_orders(
 
 
 def diagnose_job(job: DiagnosisJob) -> tuple[DiagnosisJob, bool]:
-    """Make one diagnosis and write it; an error of the diagnosis is written too. Returns whether it worked."""
+    """Make one diagnosis and write it, or its error; return whether it was successful."""
 
     def diagnose() -> tuple[dict[str, Any], dict[str, Any]]:
         trials, simulator = read_case(job.folder, job.case)
@@ -206,7 +203,7 @@ def diagnose_job(job: DiagnosisJob) -> tuple[DiagnosisJob, bool]:
 def _diagnose(
     trials: Sequence[Trial], simulator: Simulator, job: DiagnosisJob
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The diagnosis as JSON, and further facts about it; the motion that it proposes is written."""
+    """Diagnosis as JSON, and further facts about it; the proposed motion is written."""
     from hystmpc.gap.diagnose import conclude, find_causes
     from hystmpc.gap.next.motion_design import write_motion
 
@@ -227,13 +224,13 @@ def _diagnose(
 
 
 def _renamed(trials: Sequence[Trial], job: DiagnosisJob) -> list[Trial]:
-    """The trials in a random order, under names that follow it."""
+    """Trials in a random order, under names that follow it."""
     order = np.random.default_rng([job.seed, job.shuffled or 0, int(job.case)]).permutation(len(trials))
     return [replace(trials[k], source=f"log_{place + 1:02d}.csv") for place, k in enumerate(order)]
 
 
 def _beside(findings: Findings, trials: Sequence[Trial], simulator: Simulator, job: DiagnosisJob) -> dict[str, Any]:
-    """Answers of simple rules, and the share that the causes close in another session, if the device can have one."""
+    """Answers of simple rules, and the closed share of the causes in another session, if the device can have one."""
     rules = fit_rules(findings.attribution.selection, findings.prepared.development)
     found: dict[str, Any] = {"others": {"correlation": correlation_rule(trials, simulator), **rules}}
     if findings.conclusion.closed.causes:
@@ -243,22 +240,22 @@ def _beside(findings: Findings, trials: Sequence[Trial], simulator: Simulator, j
 
 
 def diagnose_all(todo: Sequence[DiagnosisJob], processes: int, progress: Progress | None) -> int:
-    """Do the jobs without a diagnosis; returns how many failed."""
+    """Execute the jobs without a diagnosis; return the number of failures."""
     kind = todo[0].kind if todo else ""
     return complete_cases(todo, diagnose_job, DIAGNOSIS, processes, progress, kind)
 
 
 class CaseJob(Protocol):
-    """A job on one case of a blind check."""
+    """Job on one case of a blind check."""
 
     @property
     def folder(self) -> Path:
-        """Of the check."""
+        """Folder of the check."""
         ...
 
     @property
     def case(self) -> str:
-        """Its name."""
+        """Name of the case."""
         ...
 
     @property
@@ -278,7 +275,7 @@ def complete_cases(
     progress: Progress | None,
     kind: str = "",
 ) -> int:
-    """Do the jobs whose folder lacks its last file; returns how many failed.
+    """Execute the jobs whose folder lacks its last file; return the number of failures.
 
     Args:
         do: does one job; returns it, and whether it worked.
@@ -306,7 +303,7 @@ def complete_cases(
 
 
 def _recorded(job: DiagnosisJob) -> bool:
-    """Record the proposed motion on the case's device; False where there is no such device or the motion is unfit."""
+    """Record the proposed motion on the case's device; return False without a device or for an unfit motion."""
     try:
         while len(_later(job.folder, job.case)) < _RECORDED:
             record_motion(job.folder, job.case, job.folder / "diagnoses" / job.case / NEXT_MOTION)
@@ -317,24 +314,22 @@ def _recorded(job: DiagnosisJob) -> bool:
 
 
 def _followed(job: DiagnosisJob) -> list[Trial]:
-    """Trials recorded because a diagnosis asked for them."""
     return _later(job.folder, job.case) if job.kind == "follow_up_diagnoses" else []
 
 
 def _later(folder: Path, case: str) -> list[Trial]:
-    """Trials of a case that were recorded after those it was made with."""
+    """Trials of a case that were added after its creation."""
     logs = folder / "follow_up" / case
     return read_trials([logs]) if logs.is_dir() else []
 
 
 def closed_in_later_session(findings: Findings, trials: Sequence[Trial]) -> float:
-    """Closed share of the corrected simulator on trials of a later session, over the floor of the first one.
+    """Closed share of the corrected simulator on trials of a later session, above the floor of the first one.
 
     The 90 % interval of the closed share refers to this quantity: the corrected simulator on more such trials, not a
     perfect model. As in `FinalErrors.closed`, what jumps leave by their nature counts as closed.
 
     Args:
-        findings: of a diagnosis.
         trials: a whole session of the device, ordered as the first one was.
     """
     later = prepare(trials, findings.simulator, ordered=findings.prepared.order == "known")

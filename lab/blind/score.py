@@ -1,4 +1,4 @@
-"""The score of a blind check: bars, misses, and the tables behind them."""
+"""Score of a blind check: bars, misses, and the tables behind them."""
 
 from __future__ import annotations
 
@@ -40,10 +40,9 @@ FORMAT = "hystmpc-blind-score/1"
 
 @dataclass(frozen=True)
 class Score:
-    """All that the report shows.
+    """Content of the report.
 
     Attributes:
-        bars, metrics: see `bars` and `metrics`.
         confusion: of all cases whose cause has a name to ask for: not of the aliased ones.
         groups: share of right verdicts, by table and row.
         beside: top-1 on single effects of the diagnosis and of simpler rules.
@@ -63,7 +62,7 @@ class Score:
 
 
 def score_blind(folder: Path, partial: bool = False) -> Score:
-    """Open the answers, score the diagnoses, write `score.json`."""
+    """Open the answers, score the diagnoses, and write `score.json`."""
     result = score_of(load_scored(folder, partial))
     result = replace(result, bars=(*result.bars, *_investigation_bars(folder)))
     write_atomically(folder / "score.json", json.dumps(score_json(result), indent=1))
@@ -71,7 +70,7 @@ def score_blind(folder: Path, partial: bool = False) -> Score:
 
 
 def _investigation_bars(folder: Path) -> tuple[Bar, Bar]:
-    """Whether `hystmpc investigate` names the cause of single effects, and in which share of the battery's time."""
+    """Bars of `hystmpc investigate` on single effects: correct causes, and share of the battery's time."""
     from .investigated import NEEDED, named_right, scored_investigations, time_share  # with the bench behind it
 
     found = scored_investigations(folder)
@@ -84,7 +83,7 @@ def _investigation_bars(folder: Path) -> tuple[Bar, Bar]:
 
 
 def score_of(cases: Sequence[ScoredCase]) -> Score:
-    """The score of some cases."""
+    """Score of the given cases."""
     single = of_suites(cases, "single")
     return Score(
         tuple(cases),
@@ -126,7 +125,7 @@ def _by(
 
 
 def _size(case: ScoredCase) -> str:
-    """The wanted ratio nearest to the measured one."""
+    """Nominal ratio nearest to the measured one."""
     return f"{min(RATIOS, key=lambda r: abs(math.log(max(case.answer.ratio, 1e-3) / r))):g}"
 
 
@@ -147,7 +146,7 @@ def _beside(single: Sequence[ScoredCase]) -> dict[str, float]:
 
 
 def _left_alone(healthy: Sequence[ScoredCase]) -> dict[str, Rate]:
-    """Share of devices without a gap of which nothing is named: by the diagnosis, and by the rules beside it."""
+    """Share of devices without a gap for which nothing is named: by the diagnosis, and by the simple rules."""
     if not healthy:
         return {}
     found = {"diagnosis": rate(healthy, lambda c: not alarm(c))}
@@ -187,7 +186,7 @@ def _bar_json(bar: Bar) -> dict[str, Any]:
 
 
 def kind_of_miss(case: ScoredCase) -> str:
-    """How a verdict is wrong, in words."""
+    """Kind of a wrong verdict, in words."""
     said, truth = case.reading, truths_of(case)
     if said.verdict == FAILED:
         return "the diagnosis ended with an error"
@@ -207,7 +206,7 @@ def kind_of_miss(case: ScoredCase) -> str:
 
 
 def miss_json(case: ScoredCase) -> dict[str, Any]:
-    """One wrong verdict: the truth, what was said, and how large the gap was."""
+    """Data of one wrong verdict: the truth, the answer, and the size of the gap."""
     answer, said = case.answer, case.reading
     return {
         "case": case.name,

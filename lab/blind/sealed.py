@@ -1,4 +1,4 @@
-"""The folder of a blind check: cases in the open, answers in one sealed file, densities of the error by region."""
+"""Folder of a blind check: open cases, answers in one sealed file, densities of the error by region."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ class EffectAnswer(Settings):
     """One withheld effect.
 
     Attributes:
-        ratio: gap that it alone leaves after retuning, in floors.
-        gap_deg: the same [deg].
-        main: whether it counts as the cause, or is a smaller contaminant.
+        ratio: gap of this effect alone after retuning, in floors.
+        gap_deg: the same gap [deg].
+        main: whether it counts as a cause, or is a smaller contaminant.
     """
 
     label: str
@@ -66,12 +66,12 @@ class EffectAnswer(Settings):
     main: bool = True
 
     def withheld(self) -> Withheld:
-        """The effect itself."""
+        """Withheld effect with its generator."""
         return Withheld(generator_named(self.generator), self.size, self.shape)
 
 
 class Answer(Settings):
-    """The truth about one case.
+    """True answer of one case.
 
     Attributes:
         suite: which part of the check it belongs to; decoys and controls say more in `variant`.
@@ -116,19 +116,19 @@ class Answer(Settings):
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Names that a diagnosis should give; none where its library has none for them."""
+        """Names of a correct diagnosis; none if its library has none for them."""
         return tuple(dict.fromkeys(e.label for e in self.mains if e.label in NAMES - set(self.without)))
 
     @property
     def truth(self) -> str:
-        """`none`, `unknown`, or the name of the largest cause."""
+        """True class: `none`, `unknown`, or the name of the largest cause."""
         if not self.mains:
             return "none"
         return self.labels[0] if self.labels else UNKNOWN
 
     @property
     def ratio(self) -> float:
-        """Of the largest cause; 0 without any."""
+        """Ratio of the largest cause; 0 without any."""
         return self.mains[0].ratio if self.mains else 0.0
 
     def blind_device(self) -> BlindDevice:
@@ -166,14 +166,14 @@ class Manifest(Settings):
 
 
 def write_case(folder: Path, case: Case) -> None:
-    """Write logs and simulator of one case; equal names and layout for every case."""
+    """Write logs and simulator of one case, with equal names and layout for every case."""
     for number, trial in enumerate(case.trials, start=1):
         write_csv(trial, folder / f"trial_{number:02d}.csv")
     save_simulator(case.simulator, folder / "sim.yaml")
 
 
 def seal(folder: Path, answers: Sequence[Answer]) -> Manifest:
-    """Write the sealed answers, in the order of the case folders, and the manifest; the manifest goes last."""
+    """Write the sealed answers, in the order of the case folders, and finally the manifest."""
     names = [case_name(k, len(answers)) for k in range(len(answers))]
     text = json.dumps(
         {name: answer.model_dump(mode="json") for name, answer in zip(names, answers, strict=True)}, indent=1
@@ -190,7 +190,7 @@ def seal(folder: Path, answers: Sequence[Answer]) -> Manifest:
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """The manifest of a folder of cases.
+    """Read the manifest of a folder of cases.
 
     Raises:
         LogError: if there is none, or it is of another format.
@@ -227,7 +227,7 @@ def open_answers(folder: Path) -> dict[str, Answer]:
 
 
 def read_case(folder: Path, name: str) -> tuple[list[Trial], Simulator]:
-    """Logs and simulator of one case, as the diagnosis gets them."""
+    """Read the logs and the simulator of one case in the form given to the diagnosis."""
     where = folder / "cases" / name
     return read_trials([where]), load_simulator(where / "sim.yaml")
 
@@ -243,7 +243,7 @@ def digest(text: str) -> str:
 
 
 def densities(trials: Sequence[Trial], errors: Sequence[Vec]) -> dict[str, float]:
-    """Share of the squared error over share of the samples, by region; regions without samples are left out."""
+    """Density by region: share of the squared error divided by share of the samples; no region without samples."""
     region = np.concatenate([motion_part_labels(trial) for trial in trials])
     square = np.concatenate(list(errors)) ** 2
     total = max(float(square.mean()), 1e-12)

@@ -1,1 +1,1 @@
-"""The commissioning study: devices drawn at random, commissioned, and controlled where something has changed."""
+"""Commissioning study: random devices are commissioned, then controlled unchanged and after a change."""

@@ -1,4 +1,4 @@
-"""What a job runs: a device commissioned, and its controllers where model, device or sensor are others."""
+"""Jobs of the commissioning study: a device is commissioned, then controlled with other models or sensors."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ _RAMP = 0.3  # share of the greatest rate at which the bench moves by itself
 
 @final
 class PreparedPlant(ComputedPlant):
-    """A drawn device that rests behind two flexures, a slow and a quick one, as after the preparation of a bench.
+    """Random device at rest after a slow and a quick flexure, as after the preparation of a bench.
 
     Attributes:
         commands, angles_deg: what was sent, and the angle measured when it was (T,).
@@ -90,7 +90,7 @@ class PreparedPlant(ComputedPlant):
 
 
 def _flexure(device: DrawnDevice, stroke_s: float) -> Vec:
-    """Commands up over the whole travel and back, with a rest at the top and at the end."""
+    """Commands over the whole travel and back, with a rest at the top and at the end."""
     up = np.linspace(0.0, device.limits.upper, round(stroke_s * device.rate_hz) + 1)[1:]
     top = np.full(round(_TOP_S * device.rate_hz), device.limits.upper)
     rest = np.zeros(round(_REST_S * device.rate_hz))
@@ -99,7 +99,7 @@ def _flexure(device: DrawnDevice, stroke_s: float) -> Vec:
 
 @final
 class TakenUp(Rehearsed):
-    """A controller that takes up the preparation of a `PreparedPlant` when it starts, as `hystmpc run` does.
+    """Controller that replays the preparation of a `PreparedPlant` at its start, as `hystmpc run` does.
 
     Args:
         sensor: an imaging system that has seen the preparation in frames; the angle in every sample where left out.
@@ -122,7 +122,7 @@ class TakenUp(Rehearsed):
 
 
 def bench_settings(plant: DrawnPlant, commission: Mapping[str, Any], folder: Path) -> CommissionSettings:
-    """The bench of a drawn device and the block `commission`: what a user would write into the file."""
+    """Bench of a random device with the block `commission`, as a user would write it into the file."""
     device, limits = plant.device, plant.device.limits
     low, high = plant.reachable_deg
     margin = _MARGIN * (high - low)
@@ -155,7 +155,7 @@ def bench_settings(plant: DrawnPlant, commission: Mapping[str, Any], folder: Pat
 
 
 def drawn_plants(device: DrawnDevice) -> PlantFactory:
-    """Makes the device behind its bench; the seed of the transport is that of the noise."""
+    """Factory of the device behind its bench; the seed of the transport is that of the noise."""
 
     def made(settings: SimulatedSettings, dt_s: float) -> tuple[Plant, float]:
         del dt_s
@@ -177,7 +177,7 @@ _IMAGING_SHARE = 5  # the search under frames costs more: a share of the evaluat
 
 
 def run_stage(job: CommissionJob, settings: CommissionStudySettings, folder: Path) -> dict[str, Any]:
-    """Message and figures of a job."""
+    """Execute a job; return its message and figures."""
     bench = StudyBench(settings, folder, drawn_devices(settings)[job.number])
     message, figures = {"commission": _commission, "compare": _compare, "gap": _tracking_gap}[job.stage](bench)
     return {"message": message, "figures": figures}
@@ -185,7 +185,7 @@ def run_stage(job: CommissionJob, settings: CommissionStudySettings, folder: Pat
 
 @dataclass(frozen=True, eq=False)
 class StudyBench:
-    """One device of the study, its motions, and what was commissioned on it."""
+    """Device of the study, its motions, and its commissioned controllers."""
 
     settings: CommissionStudySettings
     folder: Path
@@ -193,21 +193,21 @@ class StudyBench:
 
     @cached_property
     def drawn(self) -> DrawnPlant:
-        """The device with the noise of the comparison."""
+        """Device with the noise of the comparison."""
         return DrawnPlant(self.device, self.device.seed + _COMPARED)
 
     @cached_property
     def plant(self) -> PreparedPlant:
-        """The device behind the preparation."""
+        """Device at rest after the preparation."""
         return PreparedPlant(self.drawn, self.device.seed + _COMPARED)
 
     @cached_property
     def motions(self) -> tuple[CountedMotion, ...]:
-        """Fresh references within what the device reaches."""
+        """New references within the angles that the device reaches."""
         return fresh_motions(self.drawn, self.settings.quick)
 
     def tip(self, device: DrawnDevice | None = None) -> Path:
-        """The controller file of a commissioned device of this study; this one where left out."""
+        """Controller file of a commissioned device of this study, by default of this one."""
         return self.folder / "commissioned" / (device or self.device).key / TIP_FILE
 
     def along(
@@ -218,12 +218,12 @@ class StudyBench:
         motions: tuple[CountedMotion, ...] | None = None,
         sensor: ImagingSettings | NoSensorSettings | None = None,
     ) -> tuple[dict[str, float], list[ClosedLoopRun]]:
-        """Figures of a controller over all motions, `name` before each, and the runs."""
+        """Figures of a controller over all motions, with prefix `name`, and the runs."""
         return tracked(name, controller, plant or self.plant, motions or self.motions, self.device, sensor=sensor)
 
 
 def _commission(bench: StudyBench) -> tuple[str, dict[str, float]]:
-    """Commission the device; then its controller beside rivals tuned on the very device and motions."""
+    """Commission the device; compare its controller with rivals tuned on the same device and motions."""
     start, device, settings = time.process_time(), bench.device, bench.settings
     folder = bench.tip().parent
     block = {"minutes": settings.minutes, "diagnose": settings.diagnose} | (_QUICK if settings.quick else {})
@@ -248,7 +248,6 @@ def _commission(bench: StudyBench) -> tuple[str, dict[str, float]]:
 
 
 def _verified(commissioned: Commissioned) -> dict[str, float]:
-    """What the commissioning says of itself."""
     figures = {"device_s": commissioned.device_s}
     if commissioned.verified is not None:
         figures["verified"] = float(commissioned.verified.verified)
@@ -257,7 +256,7 @@ def _verified(commissioned: Commissioned) -> dict[str, float]:
 
 
 def _compare(bench: StudyBench) -> tuple[str, dict[str, float]]:
-    """Models of other devices, a device that has changed, and other sensors."""
+    """Comparison with models of other devices, on a changed device, and with other sensors."""
     device, settings = bench.device, bench.settings
     identified, tip = _known(bench.tip())
     drawn = drawn_devices(settings)
@@ -287,7 +286,7 @@ def _compare(bench: StudyBench) -> tuple[str, dict[str, float]]:
 def _changed(
     bench: StudyBench, name: str, factors: tuple[float, float], identified: ControllerModel, tip: LawSettings
 ) -> dict[str, float]:
-    """The controller on the device after it has changed, with learning and without; motions within its new reach."""
+    """Controller on the changed device, with and without learning; motions within its new range."""
     device, seed = worn(bench.device, *factors), bench.device.seed + _COMPARED
     drawn = DrawnPlant(device, seed)
     plant, motions = PreparedPlant(drawn, seed), fresh_motions(drawn, bench.settings.quick)
@@ -329,7 +328,7 @@ def _sensors(bench: StudyBench, identified: ControllerModel, tip: LawSettings) -
 
 
 def _imaging_pid(bench: StudyBench, identified: ControllerModel) -> Controller[Any]:
-    """A PID whose gains are searched on the very device and motions under other frames."""
+    """PID tuned on the same device and motions under other frames."""
     start = PidControllerSettings.parse({"kind": "pid", "estimator": _known_to_pid(IMAGING)})
     plant = PreparedPlant(bench.drawn, bench.device.seed + _COMPARED + 1)
 
@@ -349,7 +348,7 @@ def _known_to_pid(sensor: ImagingSettings) -> dict[str, Any]:
 
 
 def _tracking_gap(bench: StudyBench) -> tuple[str, dict[str, float]]:
-    """A Prandtl-Ishlinskii model diagnosed: the fall of the tracking error that is said, and the one on the device."""
+    """Diagnosis of a Prandtl-Ishlinskii model: predicted and real reduction of the tracking error."""
     device = bench.device
     trials = recordings(DrawnPlant(device, device.seed + _DIAGNOSED), bench.settings.quick)
     nominal = load_simulator(bench.tip().parent / "rival.yaml")
@@ -371,7 +370,7 @@ def _tracking_gap(bench: StudyBench) -> tuple[str, dict[str, float]]:
 def _next(
     drawn: tuple[DrawnDevice, ...], device: DrawnDevice, fits: Callable[[DrawnDevice], bool]
 ) -> DrawnDevice | None:
-    """The next device of the draw of the same rate that fits; None where there is none."""
+    """Next suitable device of the draw with the same rate; None without one."""
     for step in range(1, len(drawn)):
         other = drawn[(device.number + step) % len(drawn)]
         if other.rate_hz == device.rate_hz and fits(other):
@@ -384,12 +383,11 @@ def _model(tip: Path) -> Path:
 
 
 def _known(tip: Path) -> tuple[ControllerModel, LawSettings]:
-    """Model and controller of a commissioned device."""
     return controller_model(str(_model(tip))), tip_settings(tip).controller.resolved()
 
 
 def _of(settings: LawSettings, changes: Mapping[str, Any]) -> LawSettings:
-    """A controller with some keys changed, blocks merged; where nothing is learned there is no supervisor."""
+    """Controller with some keys changed, blocks merged; without learning there is no supervisor."""
     data = settings.model_dump(exclude_unset=True) | {"kind": type(settings).model_fields["kind"].default}
     for key, value in changes.items():
         data[key] = data.get(key, {}) | value if isinstance(value, dict) else value

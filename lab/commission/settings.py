@@ -54,7 +54,6 @@ class CommissionResult(Result):
 
     Attributes:
         message: the error of a failed job, else the verdict of the commissioning.
-        facts: of the device, for tables.
         figures: by controller and figure such as `commissioned.rmse_deg`, see `identify.job.scores`.
     """
 
@@ -69,7 +68,7 @@ MOST_DEVICE_S = 300.0
 
 @dataclass(frozen=True, eq=False)
 class CommissionOutcome(Outcome[CommissionStudySettings, CommissionResult]):
-    """The study with the results of all its jobs."""
+    """Study with the results of all its jobs."""
 
     @cached_property
     def figures(self) -> Mapping[str, Figures]:
@@ -91,12 +90,12 @@ def device_of(result: CommissionResult) -> str:
 
 
 def over_rival(controller: str) -> Callable[[Figures], float]:
-    """RMSE of a controller over that of the better tuned rival; infinite where one of them is missing."""
+    """RMSE of a controller divided by that of the better tuned rival; infinite if one of them is missing."""
     return over(controller, *RIVALS)
 
 
 def bars(outcome: CommissionOutcome) -> list[Bar]:
-    """All bars; a device whose job failed counts as infinitely bad."""
+    """All bars of the study; a device with a failed job counts as infinitely bad."""
     learned = [(f"{name} changed, learning over none", over(name, f"{name}_off")) for name in WORN]
     return [
         *_quantiles(outcome, "commissioned, over the best tuned rival", over_rival("commissioned"), (0.5, 0.8, 1.1)),
@@ -146,7 +145,6 @@ def _median(name: str, values: Figures, limit: float) -> Bar:
 
 
 def _by_family(outcome: CommissionOutcome, name: str, figure: Callable[[Figures], float], limit: float) -> list[Bar]:
-    """Median over the devices of each family."""
     values, judged = by_device(outcome.figures, figure), []
     for family in FAMILIES:
         members = [value for device, value in values.items() if outcome.families[device] == family]
@@ -156,7 +154,7 @@ def _by_family(outcome: CommissionOutcome, name: str, figure: Callable[[Figures]
 
 
 def _band(outcome: CommissionOutcome) -> Bar:
-    """Share of all samples, each device counting alike."""
+    """Share of all samples, with equal weight of each device."""
     shares = by_device(outcome.figures, lambda f: f.get("none.within_band", math.nan))
     known = [share for share in shares.values() if math.isfinite(share)]
     misses = tuple(name for name, share in shares.items() if not 0.85 <= share <= 0.95)
@@ -165,9 +163,9 @@ def _band(outcome: CommissionOutcome) -> Bar:
 
 
 def gap_agrees(figures: Figures) -> bool | None:
-    """Whether the tracking error fell on the device by the share that was said, give or take 30 % of it; None unsaid.
+    """Whether the tracking error fell by the predicted share, within 30 % of it; None without a prediction.
 
-    Where no fall was said, the error may fall or rise by no more than the floor of the noise, or 30 % of itself.
+    Where no fall was predicted, the error may change by the floor of the noise, or 30 % of itself, at most.
     """
     if not figures.get("gap.said"):
         return None
@@ -184,7 +182,7 @@ def _gap(outcome: CommissionOutcome) -> Bar:
 
 
 def _total(outcome: CommissionOutcome, name: str, figure: str, learns: bool = False) -> Bar:
-    """Samples over all controllers, or those that learn: without, another device's model may end in a latched stop."""
+    """Samples over all controllers, or only those that learn, since a wrong model without learning may stop latched."""
     totals = {
         device: sum(v for k, v in values.items() if k.endswith(f".{figure}") and not (learns and "_off." in k))
         for device, values in outcome.figures.items()

@@ -1,4 +1,4 @@
-"""The study `commission`: drawn devices commissioned, then compared where model, device or sensor are others."""
+"""Study `commission`: random devices are commissioned, then compared with other models, devices or sensors."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _SHOWN = (
 
 
 def devices_table(outcome: CommissionOutcome) -> StudyTable:
-    """A row for each device: the errors of all controllers."""
+    """Table of the errors of all controllers, a row for each device."""
     rows: list[list[Cell]] = []
     for name, figures in outcome.figures.items():
         errors: list[Cell] = [cell(rmse_of(figures, controller)) for controller in _SHOWN]
@@ -67,7 +67,7 @@ def devices_table(outcome: CommissionOutcome) -> StudyTable:
 
 
 def _ratios(outcome: CommissionOutcome) -> Figure:
-    """RMSE over that of the better tuned rival."""
+    """RMSE divided by that of the better tuned rival."""
     named = ("commissioned", "sibling", "stranger")
     subjects = (("commissioned", MODEL), ("model of another device", MEASURED), ("model of another family", PALETTE[5]))
     rows: dict[str, list[list[float]]] = {family: [] for family in FAMILIES}
@@ -77,7 +77,7 @@ def _ratios(outcome: CommissionOutcome) -> Figure:
 
 
 def commission_report(outcome: CommissionOutcome) -> tuple[Report, list[StudyTable]]:
-    """The page and all tables that are written as CSV."""
+    """Page of the study, and all tables that are written as CSV."""
     judged, devices = bars_table(bars(outcome)), devices_table(outcome)
     settings = outcome.settings
     facts = {
@@ -109,21 +109,19 @@ _QUICK_S = 30.0
 
 
 def commission_jobs(settings: CommissionStudySettings, drawn: Sequence[DrawnDevice]) -> tuple[CommissionJob, ...]:
-    """For each device a job to commission it, one to compare and one for the gap; a quick run diagnoses nothing."""
+    """Jobs of each device: commissioning, comparison, and gap; a quick run diagnoses nothing."""
     devices = settings.chosen(drawn)
     stages = STAGES[:2] if settings.quick and not settings.diagnose else STAGES
     return tuple(CommissionJob(d.number, stage, f"{d.key}-{stage}") for stage in stages for d in devices)
 
 
 def _inputs(job: CommissionJob, settings: CommissionStudySettings, folder: Path) -> dict[str, Any]:
-    """The device's numbers, the stage and the settings."""
     del folder
     device = drawn_devices(settings)[job.number]
     return {"device": repr(device), "stage": job.stage, "settings": settings.model_dump()}
 
 
 def _facts(job: CommissionJob, settings: CommissionStudySettings) -> dict[str, Any]:
-    """What the device is."""
     device = drawn_devices(settings)[job.number]
     facts = {"family": device.family, "rate_hz": device.rate_hz, "noise_deg": device.noise_deg, **device.truth}
     return {"facts": facts}

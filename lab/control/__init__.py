@@ -1,1 +1,1 @@
-"""The closed-loop benchmark: every controller on every plant along every motion, against bars."""
+"""Closed-loop benchmark: every controller on every plant along every motion, compared with bars."""

@@ -1,4 +1,4 @@
-"""Requirements of the benchmark: figures of a run, results of all jobs, and what is met."""
+"""Requirements of the benchmark: figures of a run, results of all jobs, and the verdicts."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ BASELINE_LEAVES = 2.0
 def control_figures(
     run: ClosedLoopRun, limits: CommandLimits, half_width: float, preview: int = 0, delay: int = 0
 ) -> dict[str, float]:
-    """Figures by name; NaN for those of holds where there is none.
+    """Figures of a run by name; figures of holds are NaN if there are none.
 
     `hold_range` is the greatest range of the command over the last half of a hold, in half-widths; `rest_range` is the
     same without the samples whose preview already shows the next move, which a controller may prepare by crossing the
@@ -72,7 +72,7 @@ def control_figures(
 
 
 def limit_cycle(command: Vec, band: float) -> bool:
-    """Whether a held command (N,) leaves a band [cmd] and turns often enough to go round: two reversals or more."""
+    """Whether a held command (N,) leaves a band [cmd] with two reversals or more, as in a limit cycle."""
     if float(np.ptp(command)) <= band:
         return False
     moves = np.diff(command)
@@ -82,11 +82,11 @@ def limit_cycle(command: Vec, band: float) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class ControlOutcome(Outcome[ControlSettings, ControlResult]):
-    """The benchmark with the results of all its jobs."""
+    """Benchmark with the results of all its jobs."""
 
     @cached_property
     def runs(self) -> tuple[ControlResult, ...]:
-        """Controllers along motions, those that went through."""
+        """Successful runs of controllers along motions."""
         return tuple(result for result in self.results if result.job.stage == "run" and result.status == "done")
 
     @cached_property
@@ -96,26 +96,26 @@ class ControlOutcome(Outcome[ControlSettings, ControlResult]):
 
     @property
     def loops(self) -> tuple[tuple[str, float], ...]:
-        """Plants and rates that were run, in order."""
+        """Plants and rates of the runs, in order."""
         return tuple(dict.fromkeys((run.job.plant, run.job.rate_hz) for run in self.runs))
 
     def rmse(self, like: ControlResult, controller: str) -> float:
-        """RMSE of a controller on the same plant, rate and motion; NaN where it was not run [deg]."""
+        """RMSE of a controller on the same plant, rate and motion [deg]; NaN without a run."""
         job = like.job
         same = self.by_name.get((job.plant, job.rate_hz, controller, job.motion))
         return math.nan if same is None else same.figures["rmse_deg"]
 
     def over_oracle(self, run: ControlResult) -> float:
-        """RMSE over the oracle's; NaN where it was not run."""
+        """RMSE divided by that of the oracle; NaN without its run."""
         return _over(run.figures["rmse_deg"], self.rmse(run, ORACLE))
 
     def baseline(self, run: ControlResult) -> float:
-        """RMSE of the best of PID, inverse, inverse and PID; NaN unless all three were run [deg]."""
+        """Lowest RMSE of PID, inverse, and inverse with PID [deg]; NaN unless all three were run."""
         values = [self.rmse(run, name) for name in BASELINES]
         return math.nan if any(math.isnan(value) for value in values) else min(values)
 
     def over_baseline(self, run: ControlResult) -> float:
-        """RMSE over the best of PID, inverse, inverse and PID; NaN unless all three were run."""
+        """RMSE divided by `baseline`; NaN unless all three baselines were run."""
         return _over(run.figures["rmse_deg"], self.baseline(run))
 
 
@@ -135,11 +135,7 @@ FigureOfRun = Callable[[ControlOutcome, ControlResult], float]
 
 @dataclass(frozen=True)
 class ControlBar:
-    """One requirement: a figure of every run that it is about, and the most that it may be.
-
-    Attributes:
-        limit: the most that is allowed.
-    """
+    """Requirement: a figure of the runs in its scope, and its upper limit."""
 
     name: str
     limit: float
@@ -149,7 +145,7 @@ class ControlBar:
 
 @dataclass(frozen=True)
 class BarVerdict:
-    """One controller on one plant at one rate, judged by one bar."""
+    """Verdict of one bar on one controller, plant and rate."""
 
     bar: str
     limit: float
@@ -163,7 +159,7 @@ class BarVerdict:
 
     @property
     def met(self) -> bool:
-        """Whether every motion keeps to the bar."""
+        """Whether every motion meets the bar."""
         return self.within == self.judged
 
 
@@ -181,7 +177,7 @@ def _inexact(outcome: ControlOutcome, run: ControlResult) -> bool:
 
 
 def _beatable(outcome: ControlOutcome, run: ControlResult) -> bool:
-    """Whether the baselines leave enough for their bar to count."""
+    """Whether the baselines' error is large enough for their bar to count."""
     oracle = outcome.rmse(run, "oracle")
     return _inexact(outcome, run) and outcome.baseline(run) > BASELINE_LEAVES * oracle
 
@@ -211,7 +207,7 @@ BARS: tuple[ControlBar, ...] = (
 
 
 def verdicts(outcome: ControlOutcome) -> tuple[BarVerdict, ...]:
-    """Every bar on every controller, plant and rate that it is about."""
+    """Verdicts of every bar on every controller, plant and rate in its scope."""
     return tuple(verdict for bar in BARS for verdict in _of_bar(bar, outcome))
 
 

@@ -1,4 +1,4 @@
-"""Jobs of the closed-loop benchmark: their files and inputs, and a job as a closed-loop study with its controller."""
+"""Jobs of the closed-loop benchmark: their files and inputs, and each job as a closed-loop study."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SIGNALS = ("time_s", "reference_deg", "true_deg", "command")
 
 
 def control_jobs(settings: ControlSettings, drawn: object = None) -> tuple[ControlJob, ...]:
-    """All jobs, stage by stage; controllers whose model does not hold at a rate are left out there."""
+    """All jobs by stage, without controllers whose model is invalid at a rate."""
     del drawn  # the plants are always the same
     runs = tuple(
         ControlJob("run", plant, rate, controller, motion)
@@ -63,9 +63,9 @@ def _models_for(controller: str) -> tuple[str, ...]:
 
 
 def job_inputs(job: ControlJob, settings: ControlSettings, folder: Path) -> dict[str, object]:
-    """What a job's result depends on: its settings, and the files that earlier stages left.
+    """Inputs of a job's result: its settings, and the files of earlier stages.
 
-    A file that is not there yet counts as empty, so that the job will be found not to be done.
+    A missing file counts as empty, so that the job counts as not done.
     """
     parts: dict[str, object] = {"job": asdict(job), "seed": settings.seed, "quick": settings.quick}
     if job.stage == "fit":
@@ -95,7 +95,7 @@ def needed_files(job: ControlJob, settings: ControlSettings, folder: Path) -> tu
 
 
 def gains_file(folder: Path, plant: str, rate_hz: float, controller: str) -> Path:
-    """File of the gains of a search."""
+    """File of the gains found by a search."""
     return folder / "models" / f"{plant}-{controller}-{rate_hz:g}hz.json"
 
 
@@ -104,7 +104,7 @@ def _hash(file: Path) -> str:
 
 
 def _design(job: ControlJob) -> dict[str, object]:
-    """The plant and the controller's settings as they stand in the code: a changed benchmark is run anew."""
+    """Plant and controller settings as defined in the code, so that a changed benchmark is run again."""
     plant = PLANTS[job.plant]
     facts: dict[str, object] = {"plant": repr(plant)}
     if job.stage != "fit":
@@ -126,7 +126,7 @@ def save_signals(folder: Path, job: ControlJob, signals: Mapping[str, Vec]) -> P
 
 
 def load_signals(folder: Path, job: ControlJob) -> dict[str, Vec]:
-    """The signals (N,) of a run.
+    """Read the signals (N,) of a run.
 
     Raises:
         LogError: if they are gone or damaged.
@@ -146,13 +146,13 @@ _SETTLED_LAGS = 20.0  # after the flexure, as `SimulatedPlant` waits
 
 @final
 class RestedPredictor(Predictor):
-    """A predictor whose state at the start is that after some commands, instead of that of a rule.
+    """Predictor whose initial state is that after given commands, instead of that by a rule.
 
-    The rule of a model puts all plays where they show the measured angle; which of them is where is known only to
-    whoever knows the commands before.
+    The rule of a model puts all plays where they show the measured angle; their true states are determined only by
+    the earlier commands.
 
     Args:
-        before: commands (T,) that the device got before the first sample, the last of them its rest.
+        before: commands (T,) before the first sample, the last of them at rest.
     """
 
     def __init__(self, predictor: Predictor, before: Vec) -> None:
@@ -176,12 +176,12 @@ class RestedPredictor(Predictor):
 
 
 def watched_flexure(plant: ComputedPlant, seed: int) -> tuple[Vec, Vec]:
-    """Commands sent and angles measured when each was sent, over one initialisation flexure and its rest.
+    """Commands of one initialisation flexure and its rest, and the angle measured at each of them.
 
-    The device is flexed from the rest that `reset` leaves, and comes back to it: what was before is wiped out.
+    The device is flexed from the rest after `reset`, and returns to it, which erases its earlier memory.
 
     Args:
-        plant: the device; it is left as it is.
+        plant: the device; its state is unchanged afterwards.
         seed: of the sensor noise, which must not be that of the run.
     """
     device = plant.reseeded(seed)
@@ -211,7 +211,7 @@ def run_along(
 
 
 def _ready(study: Study, job: ControlJob, seed: int) -> Controller[Any]:
-    """The job's controller; one that learns has watched the flexure, under another realisation of the noise."""
+    """Controller of the job; a learning one has observed the flexure, with a different noise realisation."""
     controller = study.controller(study.config.controllers[job.subject])
     if not CONTROLLERS[job.subject].learns:
         return controller
@@ -238,7 +238,7 @@ def tune(job: ControlJob, settings: ControlSettings, folder: Path) -> tuple[str,
 
 
 def study_of(job: ControlJob, settings: ControlSettings, folder: Path, motions: tuple[str, ...]) -> Study:
-    """The job's plant with its model, some motions and its one controller, ready to run."""
+    """Closed-loop study of the job's plant with its model, some motions and its controller."""
     plant, rival, dt_s = PLANTS[job.plant], CONTROLLERS[job.subject], 1 / job.rate_hz
     rest = plant.device(dt_s).true_angle
     nominal = plant.nominal()
@@ -280,7 +280,7 @@ def _gains(job: ControlJob, rival: BenchmarkController, settings: ControlSetting
 
 
 def _rested(study: Study, effects: Effects, dt_s: float) -> Study:
-    """The study with an oracle that knows the plant's memory after its initialisation flexure."""
+    """Study with an oracle that has the plant's memory after its initialisation flexure."""
     (known, inverse), limits = study.model.predictive, study.plant.command_limits
     flexure = initialisation_flexure(limits, dt_s, warmup_samples=1)
     wait_s = _SETTLED_LAGS * effects.lag_s + effects.delay_s

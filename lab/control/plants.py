@@ -1,4 +1,4 @@
-"""The plants of the closed-loop benchmark, and the models that controllers have of them."""
+"""Plants of the closed-loop benchmark, and the models of them used by controllers."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _WHOLE = 1e-9
 
 @dataclass(frozen=True)
 class Plant:
-    """One device of the benchmark.
+    """Device of the benchmark.
 
     Attributes:
         family: its name without mismatch: what models are identified on.
@@ -56,12 +56,12 @@ class Plant:
 
     @property
     def off(self) -> bool:
-        """Whether models have other parameters than the device."""
+        """Whether the models' parameters differ from those of the device."""
         return self.factor != 1.0
 
     @property
     def ideal(self) -> bool:
-        """Without lag, delay, noise and creep."""
+        """Whether it has no lag, delay, noise and creep."""
         return self.effects == Effects() and not self.before
 
     @property
@@ -70,21 +70,21 @@ class Plant:
         return Effects(lag_s=self.factor * self.lag_s, delay_s=self.factor * self.delay_s, noise_deg=self.noise_deg)
 
     def nominal(self) -> Plant:
-        """The device that models are identified on."""
+        """Device on which models are identified."""
         return replace(self, name=self.family, factor=1.0)
 
     def simulator(self, dt_s: float) -> Simulator:
-        """Hysteresis and creep, without lag and delay, at a sample time [s]."""
+        """Simulator with hysteresis and creep, without lag and delay, at a sample time [s]."""
         base = load_simulator(library_file(self.library))
         chain = replace(base.chain, before=self.before)
         return replace(base, chain=mismatched(chain, dict.fromkeys(chain.labels, self.factor))).at_sample_time(dt_s)
 
     def device(self, dt_s: float, seed: int = 0) -> SimulatedPlant:
-        """The device, without anything that is written to files."""
+        """Device without file output."""
         return SimulatedPlant(self.simulator(dt_s), self.effects, dt_s, seed=seed)
 
     def oracle(self, dt_s: float) -> tuple[Simulator, int]:
-        """A simulator that knows everything but whole samples of delay, and these."""
+        """Exact simulator except for whole samples of delay, and the number of these."""
         effects, simulator = self.effects, self.simulator(dt_s)
         samples = int(effects.delay_s / dt_s + _WHOLE)
         rest = effects.delay_s - samples * dt_s
@@ -108,7 +108,7 @@ PLANTS: Mapping[str, Plant] = _pairs(
 
 
 def half_width(simulator: Simulator) -> float:
-    """Half the width of the hysteresis loop at its middle angle [cmd], from a slow run over the whole command range.
+    """Half the width of the hysteresis loop at its middle angle [cmd], from a slow run over the command range.
 
     Only the core counts; what stands before and after it has no part in the backlash.
     """
@@ -142,7 +142,7 @@ def recordings(plant: Plant, seed: int, quick: bool = False) -> tuple[Trial, ...
 
 
 def fitted_backlash(plant: Plant, seed: int, quick: bool = False) -> Simulator:
-    """The backlash of the plant where it is one, else a backlash identified on recordings behind the known lag.
+    """Backlash of the plant itself if it is one, else one identified on recordings behind the known lag.
 
     Raises:
         FitError: if it cannot be identified.
@@ -168,7 +168,7 @@ def save_backlash(plant: Plant, folder: Path, rates_hz: Iterable[float], seed: i
 
 
 def save_network(plant: Plant, kind: str, folder: Path, updates: int, seed: int, quick: bool = False) -> str:
-    """Train and export a network; returns one line on how the training went."""
+    """Train and export a network; return one line on the training."""
     request = FitRequest(training=_NETWORK_TRAINING, seed=seed, steps=updates)
     trained = kind_named(kind).fit(recordings(plant, seed, quick), request)
     if trained.interrupted:
@@ -219,7 +219,7 @@ def _limits(device: SimulatedPlant) -> tuple[float, float]:
 
 
 def _lagged(trial: Trial, lag_s: float) -> Trial:
-    """The trial with its command as it comes out of a lag that is known."""
+    """Trial with its command after a known lag."""
     if lag_s == 0:
         return trial
     share, travel, last = 1 - np.exp(-trial.dt / lag_s), np.empty_like(trial.command), float(trial.command[0])

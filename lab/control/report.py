@@ -1,4 +1,4 @@
-"""The report of the benchmark: tables, figures, page."""
+"""Report of the benchmark: tables, figures, page."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ move; beside it stands the range before that move shows."""
 
 
 def bars_table(verdicts: Sequence[BarVerdict]) -> StudyTable:
-    """Each bar over everything that it is about: how many controllers on how many plants meet it."""
+    """Table of each bar: number of controllers and plants in its scope that meet it."""
     rows: list[list[Cell]] = []
     for bar in BARS:
         about = [verdict for verdict in verdicts if verdict.bar == bar.name]
@@ -84,7 +84,7 @@ def bars_table(verdicts: Sequence[BarVerdict]) -> StudyTable:
 
 
 def verdicts_table(verdicts: Sequence[BarVerdict], met: bool | None = None) -> StudyTable:
-    """Every bar on every loop, or only those met or missed."""
+    """Table of every bar on every loop, or only those met or missed."""
     rows: list[list[Cell]] = [
         [v.bar, v.limit, v.plant, v.rate_hz, v.controller, f"{v.within} of {v.judged}", v.worst, v.motion, _word(v.met)]
         for v in verdicts
@@ -96,7 +96,7 @@ def verdicts_table(verdicts: Sequence[BarVerdict], met: bool | None = None) -> S
 
 
 def loop_table(outcome: ControlOutcome, plant: str, rate_hz: float) -> StudyTable:
-    """One plant at one rate, a row for each controller: means over its motions, greatest where it says so."""
+    """Table of one plant at one rate, a row for each controller: means, or maxima, over its motions."""
     rows: list[list[Cell]] = []
     for controller in outcome.settings.controllers:
         runs = [run for run in outcome.runs if _is(run, plant, rate_hz, controller)]
@@ -127,7 +127,7 @@ def loop_table(outcome: ControlOutcome, plant: str, rate_hz: float) -> StudyTabl
 
 
 def runs_table(outcome: ControlOutcome) -> StudyTable:
-    """Every run; CSV only."""
+    """Table of every run, for CSV only."""
     rows: list[list[Cell]] = [
         [
             *(run.job.plant, run.job.rate_hz, run.job.subject, run.job.motion),
@@ -143,7 +143,7 @@ def runs_table(outcome: ControlOutcome) -> StudyTable:
 
 
 def preparation_table(outcome: ControlOutcome) -> StudyTable:
-    """Models and gains: how each was found."""
+    """Table of models and gains with the result of their identification or search."""
     rows: list[list[Cell]] = [
         [
             r.job.stage,
@@ -179,7 +179,7 @@ def _worst(values: Iterable[float]) -> Cell:
 
 
 def rmse_figure(outcome: ControlOutcome, rate_hz: float) -> Figure:
-    """RMSE of every run, a panel for each plant: a row for each controller, a mark for each motion."""
+    """Plot of the RMSE of every run: a panel for each plant, a row for each controller, a mark for each motion."""
     plants = [plant for plant, rate in outcome.loops if rate == rate_hz]
     names = [name for name in outcome.settings.controllers if CONTROLLERS[name].usable_at(rate_hz)]
     lines = -(-len(plants) // 2)
@@ -201,7 +201,7 @@ def rmse_figure(outcome: ControlOutcome, rate_hz: float) -> Figure:
 
 
 def motion_figure(outcome: ControlOutcome, plant: str, rate_hz: float, motion: str) -> Figure | None:
-    """Angle, error and command along one motion: the oracle, the best baseline and the best predictive controllers."""
+    """Plot of angle, error and command along one motion: oracle, best baseline, best predictive controllers."""
     runs = _chosen(outcome, plant, rate_hz, motion)
     if not runs:
         return None
@@ -226,7 +226,7 @@ def motion_figure(outcome: ControlOutcome, plant: str, rate_hz: float, motion: s
 
 
 def _chosen(outcome: ControlOutcome, plant: str, rate_hz: float, motion: str) -> Sequence[ControlResult]:
-    """The best baseline, the best controller of each predictive kind, and the oracle."""
+    """Best baseline, best controller of each predictive kind, and the oracle."""
     here = [run for run in outcome.runs if (run.job.plant, run.job.rate_hz, run.job.motion) == (plant, rate_hz, motion)]
     groups: dict[str, ControlResult] = {}
     for run in sorted(here, key=lambda run: run.figures["rmse_deg"]):
@@ -245,7 +245,7 @@ def _colours(runs: Sequence[ControlResult]) -> Mapping[str, str]:
 
 
 def control_report(outcome: ControlOutcome) -> tuple[Report, list[StudyTable]]:
-    """The page and all tables that are written as CSV."""
+    """Page of the study, and all tables that are written as CSV."""
     judged = verdicts(outcome)
     bars, missed = bars_table(judged), verdicts_table(judged, met=False)
     loops = [loop_table(outcome, plant, rate) for plant, rate in outcome.loops]
@@ -278,7 +278,7 @@ def control_report(outcome: ControlOutcome) -> tuple[Report, list[StudyTable]]:
 
 
 def _left_out(settings: ControlSettings) -> str:
-    """Networks at rates at which they were not identified."""
+    """Networks left out at rates other than that of their identification."""
     names = [name for name in settings.controllers if CONTROLLERS[name].model in NETWORKS]
     rates = [f"{rate:g} Hz" for rate in settings.rates_hz if rate != NETWORK_RATE_HZ]
     if not (names and rates):

@@ -37,7 +37,7 @@ BASELINES = ("pid", "inverse", "inverse_pid")
 
 @dataclass(frozen=True)
 class BenchmarkController:
-    """One controller of the benchmark.
+    """Controller of the benchmark.
 
     Attributes:
         kind: of `ctrl.config.CONTROLLERS`.
@@ -52,17 +52,17 @@ class BenchmarkController:
 
     @property
     def predictive(self) -> bool:
-        """Whether the bars are for it."""
+        """Whether the bars apply to it."""
         return self.kind in ("linearised_mpc", "sampling_mpc")
 
     @property
     def tuned(self) -> bool:
-        """Whether its gains are searched for on the very plant and motions."""
+        """Whether its gains are tuned on the same plant and motions."""
         return self.kind in ("pid", "inverse_pid")
 
     @property
     def learns(self) -> bool:
-        """Whether it learns what its model leaves over, from the flexure before the run on."""
+        """Whether it learns the error of its model, starting with the flexure before the run."""
         return self.predictive and not self.oracle
 
     @property
@@ -71,7 +71,7 @@ class BenchmarkController:
         return self.model == "oracle"
 
     def usable_at(self, rate_hz: float) -> bool:
-        """Whether its model holds at a rate."""
+        """Whether its model is valid at a rate."""
         return self.model not in NETWORKS or rate_hz == NETWORK_RATE_HZ
 
     def settings(self, dt_s: float, delay_samples: int) -> dict[str, Any]:
@@ -207,7 +207,7 @@ class ControlSettings(StudySettings):
 
     @classmethod
     def of(cls, **changes: Any) -> Self:
-        """The benchmark with some changes, names that stand twice once; see `StudySettings.of`."""
+        """Benchmark with some changes and without repeated names; see `StudySettings.of`."""
         once = {k: tuple(dict.fromkeys(v)) if isinstance(v, list | tuple) else v for k, v in changes.items()}
         return super().of(**once)
 
@@ -224,7 +224,7 @@ class ControlSettings(StudySettings):
 
 @dataclass(frozen=True)
 class ControlJob:
-    """One job.
+    """Job of the benchmark.
 
     Attributes:
         stage: `fit` identifies a model, `tune` searches gains at the first rate, `retune` at another, `run` is a

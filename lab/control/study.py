@@ -1,4 +1,4 @@
-"""The study `control`: models, gains, and every controller on every plant along every motion."""
+"""Study `control`: models, gains, and every controller on every plant along every motion."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _FAST_HZ, _LONG_HORIZON = 100.0, 3.0
 
 
 def run_job(job: ControlJob, settings: ControlSettings, folder: Path) -> dict[str, Any]:
-    """Message, figures and sources of the commands of a job; its files are written."""
+    """Execute a job and write its files; return message, figures and sources of the commands."""
     if job.stage == "run":
         figures, ladder = run_along(job, settings, folder)
         return {"figures": figures, "ladder": ladder}
@@ -47,7 +47,6 @@ def run_job(job: ControlJob, settings: ControlSettings, folder: Path) -> dict[st
 
 
 def _data(outcome: ControlOutcome) -> dict[str, Any]:
-    """Runs and bars; what is not there is null."""
     runs = [
         {
             "plant": run.job.plant,
@@ -64,14 +63,13 @@ def _data(outcome: ControlOutcome) -> dict[str, Any]:
 
 
 def _summary(outcome: ControlOutcome) -> StudyTable:
-    """The bars without the place of their worst figure, which the report tells."""
+    """Bars without the place of their worst figure, which the report contains."""
     judged = bars_table(verdicts(outcome))
     shown = judged.only("Bars", "bar", "at most", "loops that meet it", "loops judged", "worst", "verdict")
     return StudyTable("bars", ("bar", "at most", "met by", "of", "worst", "verdict"), shown.rows, "Bars")
 
 
 def _costs(jobs: Sequence[ControlJob], settings: ControlSettings) -> Mapping[str, float]:
-    """Processor time by key of the job [s]."""
     durations = {name: _duration_s(name, settings) for name in settings.motions}
     return {job.key: _seconds(job, settings, durations) for job in jobs}
 

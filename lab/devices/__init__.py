@@ -1,1 +1,1 @@
-"""One family of devices drawn at random (capstan, Dahl, rod, muscle): for the blind check, `identify`, `commission`."""
+"""Family of random devices (capstan, Dahl, rod, muscle) for the blind check, `identify` and `commission`."""

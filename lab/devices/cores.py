@@ -1,4 +1,4 @@
-"""Cores of drawn devices: capstan friction, Dahl elements, rod and air muscle; the grid of their time."""
+"""Cores of random devices: capstan friction, Dahl elements, rod and air muscle; their time grid."""
 
 from __future__ import annotations
 
@@ -73,13 +73,13 @@ class Core(ABC):
 
     @abstractmethod
     def run(self, x: Vec, scale: Vec) -> Vec:
-        """Angles (T,) [deg] for commands x (T,) [`UNIT`] that have reached the core and friction factors (T,).
+        """Angles (T,) [deg] for commands x (T,) [`UNIT`] at the core's input and friction factors (T,).
 
-        They are on the fine grid. An unlogged cycle of `STROKE` goes before.
+        They are on the fine grid. An unlogged cycle of `STROKE` precedes them.
         """
 
     def mounted(self, mounting: Mounting) -> Self:
-        """The same device off its nominal numbers."""
+        """Same device with the deviations of a mounting."""
         rubbing = {name: getattr(self, name) * mounting.friction for name in self.FRICTION}
         return replace(
             self, gain=self.gain * mounting.gain, offset_deg=self.offset_deg + mounting.offset_deg, **rubbing
@@ -87,32 +87,31 @@ class Core(ABC):
 
     @abstractmethod
     def stiffer(self, factor: float) -> Self:
-        """The same device with another stiffness."""
+        """Same device with another stiffness."""
 
     @abstractmethod
     def reweighted(self, factor: float) -> Self:
-        """The same device with its friction spread otherwise over the travel: more slowly for a factor above 1."""
+        """Same device with another distribution of its friction over the travel: slower for a factor above 1."""
 
     @classmethod
     def draw(cls, random: np.random.Generator) -> Self:
-        """A device of this kind."""
+        """Draw a device of this kind."""
         return cls(**{name: random.uniform(*ends) for name, ends in cls.DRAWN.items()})
 
     def numbers(self) -> dict[str, Any]:
-        """Parameters, for the sealed answers."""
+        """Parameters for the sealed answers."""
         return {"core": type(self).__name__, **asdict(self)}
 
 
 @dataclass(frozen=True)
 class QuasiStatic(Core):
-    """A core whose angle depends on the path of the displacement alone, not on its speed."""
+    """Core whose angle depends on the path of the displacement alone, not on its speed."""
 
     @abstractmethod
     def deflection(self, x: Vec, scale: Vec) -> Vec:
         """Distal displacement (T,) [mm] for proximal x (T,) [mm] and friction factors (T,); of a muscle its angle."""
 
     def run(self, x: Vec, scale: Vec) -> Vec:
-        """offset + gain * deflection; see `Core.run`."""
         stroke = STROKE * self.travel
         up, down = np.linspace(0.0, stroke, 400), np.linspace(stroke, float(x[0]), 400)
         before = np.concatenate([up, down])
@@ -124,7 +123,7 @@ class QuasiStatic(Core):
 @final
 @dataclass(frozen=True)
 class CapstanCore(QuasiStatic):
-    """Tendon in a bent sheath, friction proportional to the local tension (capstan law), whose last part bends.
+    """Tendon in a bent sheath with friction proportional to the local tension (capstan law); its last part bends.
 
     The tendon also rubs along the part that bends, so that this part does not move as one piece.
 
@@ -163,7 +162,7 @@ class CapstanCore(QuasiStatic):
         return out
 
     def virgin(self) -> Vec:
-        """Tensions (N,) of a tendon that was never moved [N]."""
+        """Tensions (N,) of a virgin tendon [N]."""
         return np.full(_NODES, self.pretension)
 
     def compliances(self) -> tuple[Vec, Vec]:
@@ -173,11 +172,10 @@ class CapstanCore(QuasiStatic):
         return weights + self.compliance / _NODES, weights
 
     def stiffer(self, factor: float) -> Self:
-        """Another load of the tendon."""
         return replace(self, load=self.load * factor)
 
     def reweighted(self, factor: float) -> Self:
-        """Another share of the wrap in the part that bends, and another pretension."""
+        """Same device with another share of the wrap in the bending part, and another pretension."""
         bending = float(np.clip(self.bending * factor, *_BENDING))
         return replace(self, bending=bending, pretension=self.pretension / factor)
 
@@ -209,11 +207,11 @@ class DahlCore(QuasiStatic):
         return x - out
 
     def stiffer(self, factor: float) -> Self:
-        """Smaller angle and smaller deflection of the elements for the same displacement."""
+        """Same device with smaller angle and smaller deflection of the elements for the same displacement."""
         return replace(self, gain=self.gain / factor, friction=self.friction / factor)
 
     def reweighted(self, factor: float) -> Self:
-        """Another spread of the elements."""
+        """Same device with another spread of the elements."""
         return replace(self, spread=self.spread * factor)
 
 
@@ -237,7 +235,7 @@ class Scene:
     span_deg: float
 
     def random(self, name: str, every_trial: bool = True) -> np.random.Generator:
-        """Draws of one effect in this trial, or of the whole device: the same for every size of the effect."""
+        """Random numbers of one effect in this trial, or of the whole device, independent of the effect's size."""
         return np.random.default_rng([self.seed, zlib.crc32(name.encode()), self.trial + 1 if every_trial else 0])
 
     def unit(self, angle: Vec) -> Vec:
@@ -258,14 +256,14 @@ def rise(signal: Vec) -> Vec:
 @final
 @dataclass(frozen=True)
 class RodCore(Core):
-    """Rod of `devices.rod` on a coarser grid, with its drive, its first flexure and its sensor taken out.
+    """Rod of `devices.rod` on a coarser grid, without its drive, its first flexure and its sensor.
 
-    Its segments are standard linear solids: what they relax belongs to the device that the simulator is identified on,
-    as every device bends a little late. The numbers are drawn so that this stays within what a backlash or a few plays
-    leave of the friction anyway; more of it would be creep, a withheld effect.
+    Its segments are standard linear solids: their relaxation belongs to the device on which the simulator is
+    identified, since every device bends with a small delay. The parameters are drawn so that it stays within the
+    residual friction error of a backlash or a few plays; more of it would be creep, a withheld effect.
 
     Attributes:
-        gain: tip angle over the way of the tendon in the rod [deg/mm].
+        gain: tip angle over the displacement of the tendon in the rod [deg/mm].
         offset_deg: angle of the rod at rest, without tendon [deg].
         friction: coefficient of tendon and lumen.
         drag_n: friction of either part, shaft and rod, that does not come from tension [N].
@@ -298,7 +296,7 @@ class RodCore(Core):
     slow_s: float = 2.0
 
     def run(self, x: Vec, scale: Vec) -> Vec:
-        """Angles between the rod's coarser steps lie on straight lines; see `Core.run`."""
+        """Angles with linear interpolation between the rod's coarser steps; see `Core.run`."""
         last = -(-(x.size - 1) // _COARSE) * _COARSE
         times, knots = np.arange(x.size), np.arange(0, last + 1, _COARSE)
         places, factors = (np.interp(knots, times, signal) for signal in (x, scale))
@@ -306,15 +304,14 @@ class RodCore(Core):
         return self.offset_deg + self.gain * np.interp(times, knots, ways)
 
     def stiffer(self, factor: float) -> Self:
-        """Another bending stiffness."""
         return replace(self, stiffness_nmm=self.stiffness_nmm * factor)
 
     def reweighted(self, factor: float) -> Self:
-        """More friction that is independent of tension, and a smaller coefficient of friction."""
+        """Same device with more tension-independent friction, and a smaller coefficient of friction."""
         return replace(self, drag_n=self.drag_n * factor, friction=self.friction / factor)
 
     def rod(self) -> RodParameters:
-        """The numbers of the simulated rod."""
+        """Parameters of the simulated rod."""
         return RodParameters(
             rest_deg=0.0,
             stiffness_nmm=self.stiffness_nmm,
@@ -334,10 +331,7 @@ class RodCore(Core):
 
 @lru_cache(maxsize=64)
 def _ways(core: RodCore, places: bytes, factors: bytes) -> Vec:
-    """Way of the tendon in the rod (K,) [mm] for places of the drive (K,) [mm] and friction factors (K,), as bytes.
-
-    Kept, for effects behind the rod are sized and recorded on one and the same motion of it.
-    """
+    """Tendon displacement in the rod [mm] for drive positions [mm] and friction factors, (K,) bytes each; cached."""
     x, scale = (np.frombuffer(data).copy() for data in (places, factors))  # writable, as the kernel is compiled for
     rod, stroke = core.rod(), STROKE * TRAVEL_MM
     before = np.concatenate([np.linspace(0.0, stroke, _BEFORE), np.linspace(stroke, x[0], _BEFORE)])
@@ -349,7 +343,7 @@ def _ways(core: RodCore, places: bytes, factors: bytes) -> Vec:
 
 
 def _bends(rod: RodParameters, state: Vec, places: Vec, factors: Vec, step_s: float) -> Vec:
-    """Bend (K,) [deg] at the end of every step; `state` is moved on. The kernel takes one friction a call."""
+    """Bend (K,) [deg] at the end of every step; updates `state`. The kernel takes one friction a call."""
     bend, drive, tension = (np.empty(places.size) for _ in range(3))
     step, work, knots, whole = rod.step_numbers(step_s), new_work(rod.contacts), new_knots(rod.contacts), rod.numbers()
     ends = [0, *(np.flatnonzero(np.diff(factors)) + 1).tolist(), places.size]
@@ -364,7 +358,7 @@ def _bends(rod: RodParameters, state: Vec, places: Vec, factors: Vec, step_s: fl
 @final
 @dataclass(frozen=True)
 class MuscleCore(QuasiStatic):
-    """Muscle with slack, friction in proportion to its pull and a saturating angle; no lag or late share of its own.
+    """Muscle with slack, friction proportional to its pull and a saturating angle, without lag or creep.
 
     A friction factor s at work acts by the capstan's law: 1 - friction becomes (1 - friction)^s.
 
@@ -408,15 +402,14 @@ class MuscleCore(QuasiStatic):
 
     @property
     def travel(self) -> float:
-        """Greatest pressure [bar]."""
         return self.greatest_bar
 
     def stiffer(self, factor: float) -> Self:
-        """More pull for the same angle."""
+        """Same device with more pull for the same angle."""
         return replace(self, half_bar=self.half_bar * factor)
 
     def reweighted(self, factor: float) -> Self:
-        """Another presliding."""
+        """Same device with another presliding."""
         return replace(self, presliding_bar=self.presliding_bar * factor)
 
     def deflection(self, x: Vec, scale: Vec) -> Vec:
@@ -428,7 +421,7 @@ class MuscleCore(QuasiStatic):
         return out
 
     def numbers_of_muscle(self) -> MuscleNumbers:
-        """As the recursion reads them: valve and air are fast, as lag and creep stand before the core."""
+        """Parameters for the recursion; valve and air are fast, since lag and creep precede the core."""
         fast = {"supply_bar": 5.0, "valve_s": 0.002, "fill_s": 0.02, "vent_s": 0.02}
         return MuscleNumbers(
             **fast,

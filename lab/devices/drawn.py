@@ -1,4 +1,4 @@
-"""Devices drawn at random: drive, creep, one of four cores, sensor; and a drawn device as a plant."""
+"""Random devices: drive, creep, one of four cores, sensor; and such a device as a plant."""
 
 from __future__ import annotations
 
@@ -47,12 +47,11 @@ _NO_MUSCLE, _NO_ROD = MuscleCore(), RodCore()
 
 @dataclass(frozen=True)
 class DrawnDevice:
-    """One device, by its numbers; command [mm or bar], held over each sample, to angle [deg] on a grid of 2 ms.
+    """Parameters of one random device, from held command [mm or bar] to angle [deg] on a grid of 2 ms.
 
         x = servo or lag(u(t - delay)),  z' = (x - z) / creep_s,  theta = core(x + creep z),  y = theta + noise
 
     Attributes:
-        number: in the draw, from 0.
         family: of `FAMILIES`.
         lag_s: of the drive [s], 0 for none; of a servo the delay of a ramp, 2 damping / frequency.
         damping: of a second-order servo; 0 for a lag of first order.
@@ -60,7 +59,6 @@ class DrawnDevice:
         creep: final over instant answer of the drive to a step, less 1; 0 for none.
         creep_s: its time constant [s].
         rate_per_s: greatest change of the command [command unit/s].
-        seed: of the sensor noise.
     """
 
     number: int
@@ -88,21 +86,21 @@ class DrawnDevice:
 
     @property
     def limits(self) -> CommandLimits:
-        """What it may be sent."""
+        """Limits of the command."""
         return CommandLimits(0.0, self.core.travel, self.rate_per_s)
 
     @property
     def truth(self) -> Mapping[str, float]:
-        """What an identification should find, 0 for what is not there: lag [s], delay [s], creep [1]."""
+        """True values for an identification, 0 for missing parts: lag [s], delay [s], creep [1]."""
         return {"lag": self.lag_s, "delay": self.seen_delay_s, "creep": self.creep}
 
     @property
     def seen_delay_s(self) -> float:
-        """The delay that samples can show, as an operator that interpolates between samples has it [s].
+        """Delay as seen in samples, for an operator that interpolates between samples [s].
 
         A command that is held over a sample of length T and arrives n + f samples late changes the lag's input within
         the sample. With r = T / tau the lag takes the share (1 - exp(-(1 - f) r)) / (1 - exp(-r)) from the newer one of
-        two commands, as interpolation by f' = 1 - share does. Without a lag only the whole samples n are seen.
+        two commands, as interpolation by f' = 1 - share does. Without a lag only the whole samples n are visible.
         """
         whole, part = divmod(round(self.delay_s * self.rate_hz, 6), 1.0)
         if self.lag_s == 0:
@@ -113,7 +111,7 @@ class DrawnDevice:
 
 
 def draw_devices(count: int, seed: int, quick: bool = False) -> tuple[DrawnDevice, ...]:
-    """Devices in turn of their family, each family at all rates; equal arguments give equal devices.
+    """Draw devices of alternating family, each family at all rates; equal arguments give equal devices.
 
     `ABSENT` of them have no lag, as many no delay and as many no creep, drawn apart from each other.
 
@@ -133,7 +131,7 @@ def draw_devices(count: int, seed: int, quick: bool = False) -> tuple[DrawnDevic
 
 
 class DrawnSettings(StudySettings):
-    """Settings of a study on drawn devices.
+    """Settings of a study on random devices.
 
     Attributes:
         devices: how many are drawn.
@@ -179,12 +177,12 @@ def _drawn(random: np.random.Generator, number: int, family: str, rate_hz: float
 
 def _core(random: np.random.Generator, family: str) -> RodCore | CapstanCore | DahlCore | MuscleCore:
     core = _CORES[family].draw(random)
-    # What a rod relaxes by itself would be a creep that nobody drew.
+    # Relaxation of the rod itself would be an additional creep.
     return replace(core, fast_share=0.0, slow_share=0.0) if isinstance(core, RodCore) else core  # type: ignore[return-value]
 
 
 def worn(device: DrawnDevice, friction: float, stiffness: float) -> DrawnDevice:
-    """The device with other friction and stiffness, as factors; a stiffer one moves less for the same command.
+    """Device with other friction and stiffness, as factors; a stiffer one moves less for the same command.
 
     The friction of a muscle is divided by its factor: with more of it the angle would rise as the pressure falls.
     """
@@ -200,7 +198,7 @@ def worn(device: DrawnDevice, friction: float, stiffness: float) -> DrawnDevice:
 
 
 def packed(device: DrawnDevice, delay_s: float) -> Packed:
-    """The device as the recursions read it, with another delay [s]."""
+    """Device in the form of the recursions, with another delay [s]."""
     core = device.core
     fine = round(1 / (device.rate_hz * FINE_S))
     rod = core.rod() if isinstance(core, RodCore) else _NO_ROD.rod()
@@ -243,7 +241,7 @@ def packed(device: DrawnDevice, delay_s: float) -> Packed:
 
 
 def _virgin(device: DrawnDevice, p: Packed) -> Vec:
-    """State (S,) of a device that was never moved, at command 0."""
+    """State (S,) of a virgin device at command 0."""
     core = device.core
     if isinstance(core, RodCore):
         core_state = RodCatheter(core.rod()).virgin()
@@ -255,7 +253,7 @@ def _virgin(device: DrawnDevice, p: Packed) -> Vec:
 
 
 def at_rest(device: DrawnDevice, p: Packed) -> tuple[float, Vec]:
-    """True angle [deg] and state at command 0 after a flexure over the whole travel and a rest that settles creep."""
+    """True angle [deg] and state at command 0 after a flexure over the whole travel and a rest longer than creep."""
     up = np.linspace(0.0, device.limits.upper, round(0.5 * _FLEXURE_S * device.rate_hz))
     rest_s = min(
         _SETTLED * (device.creep_s if device.creep else 0.0) + 10 * device.lag_s + device.delay_s + 1.0, _LONGEST_S
@@ -268,11 +266,7 @@ def at_rest(device: DrawnDevice, p: Packed) -> tuple[float, Vec]:
 
 @final
 class DrawnPlant(ComputedPlant):
-    """A drawn device as a plant; a reset leaves it at rest at command 0.
-
-    Args:
-        seed: of the noise.
-    """
+    """Random device as a plant; a reset leaves it at rest at command 0."""
 
     def __init__(self, device: DrawnDevice, seed: int) -> None:
         self.device, self.packed = device, packed(device, device.delay_s)
@@ -282,7 +276,7 @@ class DrawnPlant(ComputedPlant):
 
     @cached_property
     def reachable_deg(self) -> tuple[float, float]:
-        """Angles that it reaches on either branch of a slow stroke over the inner nine tenths of its travel [deg]."""
+        """Angles reached on both branches of a slow stroke over the inner nine tenths of the travel [deg]."""
         travel = self.device.limits.upper
         up = np.linspace(0.0, 0.95 * travel, round(20 * self.device.rate_hz))
         down = np.linspace(0.95 * travel, 0.05 * travel, round(20 * self.device.rate_hz))
@@ -291,7 +285,7 @@ class DrawnPlant(ComputedPlant):
         return float(theta[-1]), float(theta[up.size - 1])
 
     def noise(self, samples: int) -> Vec:
-        """Noise of the measurement at rest and of as many samples after it as a run would meet (samples + 1,) [deg]."""
+        """Measurement noise at rest and in the following samples (samples + 1,) [deg], as in a run."""
         return self.sensing.noise_deg * np.random.default_rng(self.seed).standard_normal(samples + 1)
 
     def _at_rest(self, random: np.random.Generator) -> tuple[float, Vec]:

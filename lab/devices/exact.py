@@ -1,4 +1,4 @@
-"""Controllers of the studies: one whose model is the device itself, and one that starts from a recording."""
+"""Controllers of the studies: one with the device itself as its model, and one that starts from a recording."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _BLOCKS = 12
 
 @final
 class ExactPredictor(Predictor):
-    """A predictor that is the device itself, without whole samples of its delay; the state is a copy of the device's.
+    """Predictor that is the device itself, without whole samples of its delay; its state is a copy of the device's.
 
     Derivatives are differences over a five-hundredth of the travel. Plans of more than 12 samples move in 12 blocks, so
     that a step costs as much as 12 roll-outs at most.
@@ -61,13 +61,13 @@ class ExactPredictor(Predictor):
 
 @final
 class ExactInverse(Inverse):
-    """The command that brings the core to an angle through a drive without lag; the law looks further ahead itself."""
+    """Command that brings the core to an angle through a drive without lag; the law itself looks ahead."""
 
     def __init__(self, predictor: ExactPredictor) -> None:
         self._predictor = predictor
 
     def command(self, state: Vec, theta: float, u_last: float) -> float:
-        del u_last  # within a dead band the core stays where it is
+        del u_last  # within a dead band the core does not move
         p, (low, high) = self._predictor.packed, self._predictor.command_range
         crept = p.creep * float(state[p.commands + 2])
         place = kernels.place_for(p, state, float(theta), low, high * (1 + p.creep))
@@ -87,11 +87,7 @@ def exact_controller(device: DrawnDevice, settings: LinearisedMpcSettings) -> Gu
 
 
 class Rehearsed(Controller[GuardedState[Any]]):
-    """A controller that starts from a recording instead of a single measurement.
-
-    Args:
-        commands, angles: see `GuardedController.replay`.
-    """
+    """Controller that starts from a recording instead of a single measurement."""
 
     def __init__(self, controller: GuardedController[Any], commands: Vec, angles: Vec) -> None:
         self._controller, self._commands, self._angles = controller, commands, angles

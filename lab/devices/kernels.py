@@ -29,7 +29,7 @@ MUSCLE_PARTS = 2
 
 @njit(cache=True, error_model="numpy")
 def capstan(x: Any, wrap: Any, tension: Any, shares: Any, weights: Any, rest: float, out: Any) -> None:
-    """Bend out (T,) of a catheter whose tendon's proximal end is at x (T,); `tension` (N,) is the state.
+    """Bend out (T,) of a catheter with the tendon's proximal end at x (T,); `tension` (N,) is the state.
 
     x = sum shares_i (T_i - rest) and out = sum weights_i (T_i - rest), displacements [mm] of tensions [N].
 
@@ -89,7 +89,7 @@ def dahl(x: Any, scale: Any, widths: Any, shares: Any, deflection: Any, out: Any
 
 @njit(cache=True, error_model="numpy")
 def muscle(x: Any, friction: Any, p: Any, dt: float, state: Any, out: Any) -> None:
-    """Angle out (T,) [deg] of a muscle under pressures x (T,) [bar]; `state` (5,) is moved on.
+    """Angle out (T,) [deg] of a muscle under pressures x (T,) [bar]; updates `state` (5,).
 
     Friction f (T,) over pull stands for that among its numbers `p`. The pull b (1 - f z) turns with z within the
     presliding: that is at least 2 f b / (1 - f), so that the pull never rises as the pressure b falls.
@@ -117,17 +117,17 @@ def muscle(x: Any, friction: Any, p: Any, dt: float, state: Any, out: Any) -> No
 
 
 class Packed(NamedTuple):
-    """A device as the recursions read it; parts that its core has no use for hold neutral numbers."""
+    """Device in the form of the recursions; parameters without use for its core have neutral values."""
 
     core: int
     fine: int  # fine steps in a sample
     commands: int  # Q, commands that are kept
     delay: int  # fine steps
-    lag_share: float  # of the way to the command in a fine step, 1 without a lag
+    lag_share: float  # share of the travel to the command in a fine step, 1 without a lag
     frequency: float  # of a second-order servo [rad/s], 0 for none
     damping: float
-    creep: float  # final over instant answer, less 1
-    creep_share: float  # of the way in a fine step
+    creep: float  # final over instant response, minus 1
+    creep_share: float  # share of the creep in a fine step
     gain: float  # [deg/mm], 1 for the muscle
     offset_deg: float
     wrap: Any  # capstan: (fine,)
@@ -147,7 +147,7 @@ class Packed(NamedTuple):
 
 @njit(cache=True, error_model="numpy")
 def drive(p: Packed, state: Any, u: float, places: Any) -> None:
-    """Places of the core (fine + 1,) over one sample under the command u, the first of them the last before it.
+    """Inputs of the core (fine + 1,) over one sample under the command u; the first is the last one before it.
 
     Delay; lag x' = (u - x) / tau, exact, or servo x'' = w^2 (u - x) - 2 zeta w x', semi-implicit; then one Kelvin-Voigt
     element, z' = (x - z) / tau, place = x + creep z.
@@ -174,7 +174,7 @@ def drive(p: Packed, state: Any, u: float, places: Any) -> None:
 
 @njit(cache=True, error_model="numpy")
 def bend(p: Packed, core: Any, places: Any, steps: int) -> float:
-    """Angle after the core went through places (n + 1,), the first of them where it was [deg]; `core` is moved on.
+    """Angle after inputs of the core (n + 1,), starting at its present one [deg]; updates `core`.
 
     Args:
         steps: in which a rod goes there.
@@ -243,7 +243,7 @@ def linearise(p: Packed, state: Any, plan: Any, small: float, blocks: int, theta
 
 @njit(cache=True, error_model="numpy")
 def place_for(p: Packed, state: Any, theta: float, low: float, high: float) -> float:
-    """Place of the core within [low, high] at which a straight move from the present one shows `theta`."""
+    """Input of the core within [low, high] at which a straight move from the present one gives `theta`."""
     q = p.commands
     places, first = np.empty(SETTLE + 1), state[q + 3]
     places[0] = first

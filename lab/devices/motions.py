@@ -1,4 +1,4 @@
-"""Motions of the study: three minutes of commands to identify from, and fresh references to follow."""
+"""Motions of the study: three minutes of commands for identification, and new references for tracking."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from .drawn import DrawnPlant
 
 SCANS_HZ = {"scan": 0.2, "fast_scan": 0.6}
 _SLOPE_SHARE = 0.35  # of the greatest speed that the fast scan may ask for
-_RETURN, _REST_S = 0.3, 1.0  # share of the greatest speed on the way back to rest, and the rest there
+_RETURN, _REST_S = 0.3, 1.0  # share of the greatest speed on the return, and rest there
 _QUICK = 0.25  # of the full length
 
 
 def recordings(plant: DrawnPlant, quick: bool = False) -> tuple[Trial, ...]:
-    """Trials of three minutes in all at the device's rate, each from the rest after a reset.
+    """Trials of three minutes in total at the device's rate, each from the rest after a reset.
 
     Steps and ramps with holds, one long hold, slow, middling and fast sines, and reversals at random.
     """
@@ -31,10 +31,7 @@ def recordings(plant: DrawnPlant, quick: bool = False) -> tuple[Trial, ...]:
 
 
 def _recorded(plant: DrawnPlant, motion: Trajectory, name: str) -> Trial:
-    """Command and the angle measured at the end of the sample over which it was held; it ends with a way back to rest.
-
-    The command keeps to the limit of its speed.
-    """
+    """Command within its rate limit and the angle at the end of its sample, with a final return to rest."""
     limits, dt = plant.device.limits, plant.dt
     asked = motion(dt * np.arange(round(motion.duration_s / dt) + 1, dtype=np.float64))
     back = np.arange(asked[-1], limits.lower, -_RETURN * limits.rate * dt)
@@ -47,7 +44,7 @@ def _recorded(plant: DrawnPlant, motion: Trajectory, name: str) -> Trial:
 
 
 def fresh_motions(plant: DrawnPlant, quick: bool = False) -> tuple[CountedMotion, ...]:
-    """Point to point with holds, a scan and a fast scan, over ranges drawn within what the device reaches."""
+    """Point to point with holds, a scan and a fast scan, over random ranges within the reachable angles."""
     random = np.random.default_rng([plant.device.seed, 2])
     speed = _SLOPE_SHARE * _speed(plant)
     moves, scan_s = (1, 0.0) if quick else (5, 10.0)

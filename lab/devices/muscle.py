@@ -1,4 +1,4 @@
-"""The catheter of S1 and its bench: valve, bladder, braid friction and a segment that stiffens."""
+"""Catheter of S1 and its bench: valve, bladder, braid friction and a segment that stiffens."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _STEP_S = 1e-3  # longest step of the recursion
 
 
 class MuscleNumbers(NamedTuple):
-    """Parameters as the recursion reads them; see `MuscleParameters`."""
+    """Parameters in the form of the recursion; see `MuscleParameters`."""
 
     supply_bar: float
     valve_s: float
@@ -48,7 +48,7 @@ def slack(pressure: float, at: float, width: float) -> float:
 
 @njit(cache=True, error_model="numpy")
 def advance(state: Any, commands: Any, p: Any, dt: float, parts: int, angle: Any, drive: Any) -> None:
-    """Move `state` (5,) on through commands (T,), each in `parts` steps of dt / parts; outputs (T,)."""
+    """Advance `state` (5,) through commands (T,), each in `parts` steps of dt / parts; outputs (T,)."""
     pressure, before, friction, late, bend = state
     h = dt / parts
     for k in range(commands.size):
@@ -72,7 +72,7 @@ def advance(state: Any, commands: Any, p: Any, dt: float, parts: int, angle: Any
 
 @dataclass(frozen=True)
 class MuscleParameters(Quantities):
-    """Numbers of the muscle-driven catheter.
+    """Parameters of the muscle-driven catheter.
 
     S1 prints none of them; docs/reference/devices.md says how they were set.
     """
@@ -179,7 +179,7 @@ class MuscleCatheter:
 
 @dataclass(frozen=True)
 class LaserSensor(Quantities):
-    """The laser distance sensor of S1 at the tip, read by a converter: voltage from true angle (S1 eq. (2)-(4)).
+    """Laser distance sensor of S1 at the tip, read by a converter: voltage from true angle (S1 eq. (2)-(4)).
 
     S1 prints neither noise nor resolution: 0.02 mm (0.04 deg near straight), and the 9.8 mV (0.04 mm) of a 10 V range
     on the 10 bits of its Arduino.
@@ -199,7 +199,7 @@ class LaserSensor(Quantities):
 
 @dataclass(frozen=True)
 class MuscleRecorder(Quantities):
-    """The bench of S1.
+    """Recorder on the bench of S1.
 
     S1 eq. (3) takes the greatest distance of a group as that of the straight catheter. A motion that never comes to
     0 bar (test (b)) has no such sample, so the group here begins with the catheter straight at 0 bar and a ramp to
@@ -221,7 +221,7 @@ class MuscleRecorder(Quantities):
     straight: Literal["rest", "group"] = "rest"
 
     def record(self, excitation: Trajectory, seed: int, source: str) -> Trial:
-        """One trial; equal seed and source give equal trials, either of them another gives another device and noise.
+        """Record one trial; equal seed and source give equal trials, others another device and noise.
 
         Channels: `voltage_v` of the laser, `pressure_bar` in the muscle.
         """

@@ -50,7 +50,7 @@ class EmTracker(Quantities):
 
 
 def quantised(values: Vec, step: float) -> Vec:
-    """Values rounded to multiples of `step`; as they are for step 0."""
+    """Values rounded to multiples of `step`; unchanged for step 0."""
     return np.round(values / step) * step if step > 0 else values
 
 
@@ -68,7 +68,7 @@ def generator(seed: int, name: str, purpose: str) -> np.random.Generator:
 
 @dataclass(frozen=True, kw_only=True)
 class TrackedBench(Quantities, ABC):
-    """The bench of S2 with any device.
+    """Bench of S2 with any device.
 
     Every trial begins with a virgin device, the initialisation flexure (0.1 Hz to the end of the travel and back) and a
     rest at 0 mm, which are discarded as S2's protocol says unless `keep_flexure`.
@@ -87,10 +87,10 @@ class TrackedBench(Quantities, ABC):
 
     @abstractmethod
     def mounted(self, random: np.random.Generator) -> Device:
-        """The device of one trial, varied as devices vary between trials."""
+        """Device of one trial, with the variation between trials."""
 
     def record(self, excitation: Trajectory, seed: int, source: str) -> Trial:
-        """One trial; equal seed and source give equal trials, another seed or source another device and noise.
+        """Record one trial; equal seed and source give equal trials, others another device and noise.
 
         Channels: `x_mm`, `y_mm` of the tip, `displacement_mm` that the drive reached, `tension_n`.
         """
@@ -143,7 +143,7 @@ class TendonVariation(Quantities):
 @final
 @dataclass(frozen=True, kw_only=True)
 class TendonRecorder(TrackedBench):
-    """The bench of S2."""
+    """Recorder on the bench of S2."""
 
     device: TendonParameters = field(default_factory=TendonParameters)
     variation: TendonVariation = field(default_factory=TendonVariation)

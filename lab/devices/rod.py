@@ -1,4 +1,4 @@
-"""The rod catheter: a planar rod on a tendon with friction, its parameters, its recorder, and single trials of it."""
+"""Rod catheter: a planar rod on a tendon with friction, its parameters, its recorder, and single trials of it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _PULL_DT_S = 1e6  # a pull slow against every relaxation
 
 @dataclass(frozen=True)
 class RodParameters(Quantities):
-    """Numbers of the rod device; the defaults were identified, see docs/reference/devices.md.
+    """Parameters of the rod device; the defaults were identified, see docs/reference/devices.md.
 
     They are altered by `dataclasses.replace`.
 
@@ -71,11 +71,11 @@ class RodParameters(Quantities):
 
     @property
     def contacts(self) -> int:
-        """m, contacts of the tendon in shaft and rod."""
+        """Number m of contacts of the tendon in shaft and rod."""
         return self.shaft_contacts + self.segments
 
     def numbers(self) -> RodNumbers:
-        """The parameters as the equations read them."""
+        """Parameters in the form of the equations."""
         p, n = self.shaft_contacts, self.segments
         stiffness = self.stiffness_nmm * n
         shaft, rod = (p + 1) * self.shaft_n_per_mm, n * self.rod_n_per_mm
@@ -134,7 +134,7 @@ class RodVariation(Quantities):
 
 @final
 class RodCatheter:
-    """Tendon displacement [mm] to tip angle [deg] by a rod of n segments, bent by a tendon that rubs in its lumen.
+    """Tendon displacement [mm] to tip angle [deg] of a rod of n segments, bent by a tendon with friction in its lumen.
 
     The tendon runs from the drive through a passive, curved shaft and the rod to the tip. It is elastic and can only
     pull; at m contacts along its way it sticks or slips by the capstan law, each with a memory of its own. The rod's
@@ -205,7 +205,7 @@ class RodCatheter:
 @final
 @dataclass(frozen=True, kw_only=True)
 class RodRecorder(TrackedBench):
-    """The bench of S2 with a rod in the catheter's place."""
+    """Recorder on the bench of S2 with a rod in the catheter's place."""
 
     device: RodParameters = field(default_factory=RodParameters)
     variation: RodVariation = field(default_factory=RodVariation)
@@ -216,7 +216,7 @@ class RodRecorder(TrackedBench):
 
 @dataclass(frozen=True, eq=False)
 class RodTrial:
-    """One run.
+    """Result of one run of the rod.
 
     Attributes:
         motion: true angle [deg], drive [mm] and tension [N], all (T,), and the state after it; a further trial of the
@@ -237,7 +237,7 @@ class RodTrial:
 
 @dataclass(frozen=True)
 class RodBench:
-    """A rod and its tracker.
+    """Rod with its tracker.
 
     Attributes:
         device: numbers of the rod; alter them with `dataclasses.replace`.
@@ -247,7 +247,7 @@ class RodBench:
     tracker: EmTracker = field(default_factory=EmTracker)
 
     def run(self, commands: ArrayLike, dt_s: float, seed: int = 0, state: Vec | None = None) -> RodTrial:
-        """Commands (T,) [mm], each held for `dt_s` [s], from `state` or a virgin device.
+        """Run commands (T,) [mm], each held for `dt_s` [s], from `state` or a virgin device.
 
         Equal arguments give equal trials. `seed` is of the tracker's noise; the rod itself has nothing random.
 

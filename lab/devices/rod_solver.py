@@ -45,13 +45,13 @@ _EXACT = 1e-13  # [mm or N]
 TOLERANCE_MM = 1e-9
 """Greatest residual of the friction law that a step may leave [mm]."""
 
-_NEWTON = 20  # iterations before it is given up
+_NEWTON = 20  # greatest number of iterations
 _GRAVITY_ROUNDS = 100
 _GRAVITY_MM = 1e-10
 
 
 class RodNumbers(NamedTuple):
-    """Parameters as the equations read them; lengths mm, forces N, angles rad, stiffness N mm/rad, arrays by span."""
+    """Parameters in the form of the equations; lengths mm, forces N, angles rad, stiffness N mm/rad, arrays by span."""
 
     shaft_contacts: int
     segments: int
@@ -107,7 +107,7 @@ def span(stretch: float, load: float, reached: float, j: int, p: RodNumbers, d: 
 
 @njit(cache=True, error_model="numpy", inline="always")
 def grip(j: int, bend: float, p: RodNumbers) -> float:
-    """exp(mu phi) of contact j; `bend` is that of span j."""
+    """Capstan factor exp(mu phi) of contact j; `bend` is that of span j."""
     return math.exp(p.mu * (p.wrap[j] if j <= p.shaft_contacts else abs(bend)))
 
 
@@ -130,7 +130,7 @@ def gravity(bends: Any, moments: Any, p: RodNumbers) -> None:
 
 
 class Knots(NamedTuple):
-    """Direction changes of each contact, by contact 0..m (entry 0 unused), and room for one evaluation."""
+    """Direction changes of each contact, by contact 0..m (entry 0 unused), and memory for one evaluation."""
 
     sticks: Any  # (m + 1,) sigma below which it no longer sticks, of the curve beyond it
     width: Any  # (m + 1,) of sigma in which it sticks [N]
@@ -141,7 +141,7 @@ class Knots(NamedTuple):
 
 
 def new_knots(contacts: int) -> Knots:
-    """Room for that many contacts."""
+    """Memory for that many contacts."""
     return Knots(*(np.zeros(contacts + 1) for _ in range(6)))
 
 
@@ -163,7 +163,7 @@ def _stretch(tau: float, load: float, reached: float, j: int, p: RodNumbers, d: 
 
 @njit(cache=True, error_model="numpy")
 def _at(sigma: float, near: int, s: Any, w: Any, k: Knots, p: RodNumbers, d: StepNumbers) -> Any:
-    """Set s_near..s_m from `sigma` of the curve (s_near, tau_near); returns tau_near [N], and both slopes by sigma."""
+    """Set s_near..s_m from `sigma` of the curve (s_near, tau_near); return tau_near [N], and both slopes by sigma."""
     m = p.compliance.size - 1
     for j in range(near + 1, m + 1):
         if sigma >= k.sticks[j] + k.width[j]:
@@ -226,7 +226,7 @@ def _root(
 
 @njit(cache=True, error_model="numpy")
 def shoot(place: float, s: Any, w: Any, k: Knots, p: RodNumbers, d: StepNumbers) -> None:
-    """Set the displacements s (m + 2,) and the sides of `w` to those after the drive has gone to `place`."""
+    """Set the displacements s (m + 2,) and the sides of `w` to their values after the drive has reached `place`."""
     m, sigma = p.compliance.size - 1, 0.0
     for j in range(m, 0, -1):
         sigma = _root(w.before[j], True, sigma, j, s, w, k, p, d)
@@ -270,7 +270,7 @@ def _spans(s: Any, w: Work, p: RodNumbers, d: StepNumbers) -> None:
 
 @njit(cache=True, error_model="numpy", inline="always")
 def _sides(j: int, w: Work, p: RodNumbers) -> Any:
-    """exp(mu phi), F+ and F- of contact j."""
+    """Capstan factor exp(mu phi), F+ and F- of contact j."""
     a = grip(j, w.bend[j], p)
     behind, ahead = w.tension[j - 1], w.tension[j]
     return a, behind - a * ahead - p.drag[j], ahead - a * behind - p.drag[j]
@@ -286,8 +286,8 @@ def _newton(s: Any, w: Work, p: RodNumbers, guess: float, hold: float, room: flo
         rho, moved = 0.5 * min(p.compliance[j - 1], p.compliance[j]), s[j] - w.before[j]
         steep = p.mu * a * w.give[j] * (1.0 if w.bend[j] > 0 else -1.0) if j > p.shaft_contacts else 0.0
         slack = w.slope[j - 1] + w.slope[j] == 0
-        goes_on = guess * w.side[j]  # the first guess: who slipped before does so again
-        free = forward == -backward  # no friction at all: the tensions are equal, whichever way it slips
+        goes_on = guess * w.side[j]  # first guess: contacts that slipped before slip again
+        free = forward == -backward  # without friction the tensions are equal for either slip direction
         if (free or moved + rho * forward > 0 or goes_on > 0) and not slack:
             w.side[j] = 2.0 if free else 1.0
             ahead = a * w.slope[j] + steep * w.tension[j]
@@ -334,9 +334,9 @@ def _residual(s: Any, w: Work, p: RodNumbers) -> float:
 
 @njit(cache=True, error_model="numpy")
 def solve(place: float, s: Any, w: Work, k: Knots, p: RodNumbers, d: StepNumbers) -> float:
-    """Displacements s (m + 2,) after the drive has gone to `place`; returns the residual left [mm].
+    """Displacements s (m + 2,) after the drive has reached `place`; returns the remaining residual [mm].
 
-    `w` holds begin and loads, and afterwards tensions and bends; its `side` is what slipped last.
+    `w` holds initial state and loads, and afterwards tensions and bends; its `side` is the last slip.
     """
     s[:] = w.before
     s[0] = place
@@ -354,10 +354,7 @@ def solve(place: float, s: Any, w: Work, k: Knots, p: RodNumbers, d: StepNumbers
 
 @njit(cache=True, error_model="numpy")
 def _loads(bends: Any, late: Any, moments: Any, w: Work, p: RodNumbers, d: StepNumbers) -> None:
-    """Set what bends the segments besides the tendon: gravity, and what the Maxwell branches remember.
-
-    `bends` (n,) and `late` (2, n) are those at the step's begin, `moments` (n,) of gravity.
-    """
+    """Set the bending moments besides the tendon's, from `moments` (n,) of gravity, `bends` (n,) and `late` (2, n)."""
     for i in range(p.segments):
         load = moments[i]
         for b in range(2):
@@ -369,7 +366,7 @@ def _loads(bends: Any, late: Any, moments: Any, w: Work, p: RodNumbers, d: StepN
 def _step(
     place: float, s: Any, bends: Any, late: Any, moments: Any, w: Work, k: Knots, p: RodNumbers, d: StepNumbers
 ) -> float:
-    """One step of displacements, bends (n,) and branches (2, n), the drive going to `place`. Returns the residual."""
+    """Step displacements, bends (n,) and branches (2, n) with the drive going to `place`; return the residual."""
     first = p.shaft_contacts + 1
     w.before[:] = s
     _loads(bends, late, moments, w, p, d)
@@ -407,9 +404,9 @@ def advance(
     drive: Any,
     tension: Any,
 ) -> float:
-    """Move `state` on through commands (T,), each in `parts` steps; outputs (T,). Returns the greatest residual [mm].
+    """Advance `state` through commands (T,), each in `parts` steps; outputs (T,). Returns the greatest residual [mm].
 
-    State (1 + 2 m + 4 n,): drive, displacements at the contacts [mm], which way they slipped last (1, -1, or 0), bends,
+    State (1 + 2 m + 4 n,): drive, displacements at the contacts [mm], last slip direction of each (1, -1, or 0), bends,
     two branches, greatest bends [rad].
     """
     n, contacts = p.segments, w.tension.size - 1

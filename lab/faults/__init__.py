@@ -1,1 +1,1 @@
-"""Faults on purpose, over a real connection, and what became of them."""
+"""Fault campaigns over real connections or on simulated devices, and their verdicts."""

@@ -1,4 +1,4 @@
-"""Cases of the fault campaign: what goes wrong, the required outcome, and the configurations they start from."""
+"""Cases of the fault campaign: the fault, the required outcome, and the configurations at the start."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from hystmpc.trials.config import dump_yaml
 # device's own watchdog acts; ends before anything moves.
 Ending = Literal["goes on", "stops", "left alone", "refuses"]
 _AT_S = 3.0
-_DEAD_S = 1.0  # `dead_after_s` 0.5, and half a second for what is under way and for a busy machine
+_DEAD_S = 1.0  # `dead_after_s` 0.5, and 0.5 s for data in transit and for a busy machine
 _STRAY_S = 2.0  # a device that does not follow: twice `dead_after_s`, and the same
-_IMPLAUSIBLE_S = 4.0  # the command has to travel before an angle that stands still is implausible
+_IMPLAUSIBLE_S = 4.0  # travel time before a constant angle is implausible
 _FAILS = {"drill": {"solver_fails_from_s": 2.0, "solver_fails_for_s": 0.4}}
 _FAILS_ON = {"drill": {"solver_fails_from_s": 2.0, "solver_fails_for_s": 1000.0}}
 _LONG = {"reference": {"cycles": 16}}  # long enough for a second run to be refused meanwhile
 _FAST = {"reference": {"frequency_hz": 0.8, "cycles": 8}}
-_SLOW_RETURN = {"watchdog_rate_per_s": 0.1}  # a second run comes while the device is still on its way back
+_SLOW_RETURN = {"watchdog_rate_per_s": 0.1}  # a second run starts during the return of the device
 _SOFT = {"ramps": {"brake_per_s2": 20.0}}  # v^2 / 2a is twenty times the overshoot
 # Sensors other than the continuous one: block `sensor` of the device, and the one of the run.
 _FRAMES = (
@@ -54,7 +54,7 @@ DEVICE: Mapping[str, Any] = {
 
 @dataclass(frozen=True)
 class SecondRun:
-    """A second run on the same device, which has to be refused.
+    """Second run on the same device, which has to be refused.
 
     Attributes:
         arguments: of `hystmpc run`, beside configuration and folder.
@@ -67,7 +67,7 @@ class SecondRun:
 
 @dataclass(frozen=True)
 class FaultCase:
-    """One fault.
+    """One fault of the campaign.
 
     Attributes:
         device: faults of the wire, as in a device's configuration.
@@ -104,22 +104,22 @@ class FaultCase:
     corrupt_model: bool = False
 
     def stepped_by(self, backend: str) -> FaultCase:
-        """The same case with that `realtime.backend`."""
+        """Same case with another `realtime.backend`."""
         return replace(self, settings={**self.settings, "realtime": {"backend": backend}})
 
     @property
     def has_c(self) -> bool:
-        """Whether its controller can be stepped as C: frames have none."""
+        """Whether its controller can run in C; controllers with frames cannot."""
         return self.settings.get("sensor", {}).get("kind") != "intermittent"
 
     @property
     def of_datagrams(self) -> bool:
-        """Whether it needs to get at datagrams, so that it can be played over UDP only."""
+        """Whether it needs access to datagrams, so that it can be played over UDP only."""
         return any(fault.get("of") == "commands" or fault["fault"] == "corrupt" for fault in self.device)
 
     @property
     def device_gone(self) -> bool:
-        """Whether the device is killed and stays away: nobody can bring it to the safe command."""
+        """Whether the device is killed for good, so that nobody can bring it to the safe command."""
         return self.kill == "device" and self.signal == "SIGKILL" and not self.restart
 
 
@@ -133,7 +133,6 @@ def _commands(name: str, expected: Ending, fault: str, **more: float) -> FaultCa
 
 
 def _sensed(case: FaultCase, sensor: tuple[Mapping[str, Any], Mapping[str, Any]]) -> FaultCase:
-    """The case with another sensor."""
     device, run = sensor
     return replace(case, drive={**case.drive, "sensor": device}, settings={**case.settings, "sensor": run})
 
@@ -297,7 +296,6 @@ def watchdog_s(case: FaultCase) -> float:
 
 
 def _merged(settings: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings with nested changes."""
     return {
         **settings,
         **{

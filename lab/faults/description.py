@@ -1,4 +1,4 @@
-"""Description of a device of the campaign: its body, what it does wrong and when, and a row of its log."""
+"""Description of a device of the campaign: its body, its faults with their times, and a row of its log."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _REST_DEG = 25.35
 
 @dataclass(frozen=True)
 class Body:
-    """What the tip does with the drive's position x.
+    """Motion of the tip by the drive's position x.
 
         theta = rest_deg + gain (w_0 x' + sum_i w_i play_i(x')),   x' = x after dead time, lag and backlash
 
@@ -47,12 +47,12 @@ class Body:
 
     @property
     def slope(self) -> float:
-        """Greatest slope of the angle over the command, its sign left out [deg/mm]."""
+        """Greatest absolute slope of the angle over the command [deg/mm]."""
         return abs(self.gain) * sum(self.weights)
 
     @property
     def slow_s(self) -> float:
-        """How long the tip goes on after the drive [s]."""
+        """Duration of the tip's motion after the end of the drive's [s]."""
         return self.lag_s + self.dead_s
 
 
@@ -62,7 +62,7 @@ NOMINAL = Body()
 
 @dataclass
 class BodyState:
-    """What of a body changes."""
+    """Variable state of a body."""
 
     x: float
     slack: float
@@ -76,13 +76,13 @@ class BodyState:
 
 
 def at_rest(body: Body, x: float) -> BodyState:
-    """The state at rest at a position [mm]."""
+    """State at rest at a position [mm]."""
     angle = body.rest_deg + body.gain * sum(body.weights) * x
     return BodyState(x, x, [x] * (len(body.weights) - 1), angle, angle, slow_deg=angle)
 
 
 def moved(body: Body, state: BodyState, position: float, dt_s: float) -> float:
-    """Angle after a step with the drive at that position [deg]; the state is moved on."""
+    """Angle after a step with the drive at that position [deg]; updates the state."""
     state.time_s += dt_s
     if body.dead_s:
         state.past.append((state.time_s, position))
@@ -115,35 +115,34 @@ SAFE = 0.0
 """The command that a device holds at first, and to which its watchdog leads it [mm]."""
 
 FaultKind = Literal[
-    "stuck",  # the tip stays where it is
-    "dithers",  # it trembles there by `size` deg at `period_s`
-    "outside",  # the sensor is out of its range for every other `period_s`; for good where that is 0
-    "shifted",  # the sensor has come off: its angle is `size` deg beside
-    "spikes",  # every tenth reading is `size` deg beside
-    "silent",  # no reading comes any more
-    "ages",  # readings come later and later, by `size` s a second
-    "held",  # it says that it holds `size` mm
-    "held_nan",  # every other `period_s` it does not say what it holds
-    "deaf",  # it takes no command, and says so by what it holds
-    "restarts",  # it is switched off and on: another session, at rest
-    "leaves",  # its watchdog acts although commands come
-    "wanders",  # it moves by itself, up and down, and says so
-    "steepens",  # the tip goes `size` times as far as before
-    "reads_slowly",  # `read` takes `size` s and always has something
+    "stuck",  # the tip does not move
+    "dithers",  # the tip oscillates about a fixed angle by `size` deg at `period_s`
+    "outside",  # the sensor is out of range for every other `period_s`; permanently if that is 0
+    "shifted",  # a loose sensor: its angle is shifted by `size` deg
+    "spikes",  # every tenth reading is shifted by `size` deg
+    "silent",  # no further readings
+    "ages",  # the delay of readings grows by `size` s a second
+    "held",  # reports a held command of `size` mm
+    "held_nan",  # no report of the held command for every other `period_s`
+    "deaf",  # rejects commands, as its reported held command shows
+    "restarts",  # power cycle: another session, at rest
+    "leaves",  # its watchdog acts in spite of commands
+    "wanders",  # moves by itself, up and down, with true reports
+    "steepens",  # gain of the tip multiplied by `size`
+    "reads_slowly",  # `read` takes `size` s and always returns a reading
     "writes_slowly",  # `write` takes `size` s
-    "stalls",  # the program that controls it stands still for `size` s, once
+    "stalls",  # the controlling program stalls once for `size` s
 ]
 
 
 @dataclass(frozen=True)
 class DeviceFault:
-    """What a device does wrong, and when.
+    """Fault of a device and its time.
 
     Attributes:
         at_s: when it begins, counted from the first command of a connection [s].
         motion: that connection, or a later one: a commissioning makes one for each motion, all others a single one.
         lasts_s: how long it lasts [s].
-        size, period_s: see `FaultKind`.
     """
 
     kind: FaultKind
@@ -159,18 +158,14 @@ class DeviceSpec:
     """Description of a device.
 
     Attributes:
-        name: of it, in tables.
         body: from the drive's position to the tip's angle.
-        drive_rate: of the drive; what it holds is its position [mm/s].
+        drive_rate: of the drive, whose position is the held command [mm/s].
         noise_deg, quantum_deg: of the sensor [deg].
-        stream_hz: readings a second, whatever the loop does.
-        flight_s: time that a reading takes to arrive [s].
-        tells: whether it says what it holds.
-        sessions: whether it listens to those alone that have greeted, and to nobody after its watchdog has acted; else
-            to everybody always.
-        watchdog_s, return_rate: silence after which it returns to rest, and how fast [mm/s].
-        faults: what it does wrong.
-        seed: of its noise.
+        stream_hz: readings a second, independent of the loop.
+        flight_s: time of flight of a reading [s].
+        sessions: whether it accepts commands only after a greeting, and a new greeting after an action of its watchdog;
+            else it accepts all commands.
+        watchdog_s, return_rate: silence after which it returns to rest, and the rate of the return [mm/s].
     """
 
     name: str
@@ -195,13 +190,12 @@ class Row:
     Attributes:
         t_s: its time [s].
         motion: number of the connection, from 0; -1 between two.
-        received: command that was taken, NaN in a row without one.
-        before: what it held right before [mm].
-        held: what it holds, or would once its drive is there [mm].
-        told: what it says that it holds.
-        x_mm: where the tip's own end of the drive is, after lag and dead time.
-        angle_deg, shown_deg: of the tip, and the last one that the sensor gave.
-        age_s: of the newest reading that was read, flight at the beginning left out [s].
+        received: accepted command, NaN in a row without one.
+        before: held command right before [mm].
+        held: held command, or the target of the drive [mm].
+        x_mm: position at the tip's end of the drive, after lag and dead time.
+        angle_deg, shown_deg: angle of the tip, and last one of the sensor.
+        age_s: of the newest reading that was read, without the initial time of flight [s].
     """
 
     t_s: float

@@ -1,4 +1,4 @@
-"""The devices of the campaign, hostile and healthy, drawn from fixed seeds, and how each is played."""
+"""Devices of the campaign, hostile and healthy, drawn from fixed seeds, and the plays with them."""
 
 from __future__ import annotations
 
@@ -41,12 +41,10 @@ _UNTOLD: Mapping[str, Any] = {"start_command": 0.0}
 
 @dataclass(frozen=True)
 class DeviceCase:
-    """A device, and how it is used.
+    """Device with its use in the campaign.
 
     Attributes:
-        healthy: whether it must not be stopped.
-        movers: that it is played with.
-        bench: changes of the bench file, nested: what its user would have to write.
+        bench: changes of the bench file, nested: those its user would have to write.
         law: kind of the controller; empty for each in turn.
     """
 
@@ -58,7 +56,7 @@ class DeviceCase:
 
     @property
     def name(self) -> str:
-        """Of the device."""
+        """Name of the device."""
         return self.device.name
 
 
@@ -72,7 +70,7 @@ class DevicePlay:
 
     @property
     def name(self) -> str:
-        """As tables show it."""
+        """Name in tables."""
         if self.mover not in ("run", "ros2"):
             return self.case.name
         more = [self.how.law] + ["c"] * (self.how.backend == "c") + ["udp"] * self.how.udp
@@ -84,7 +82,6 @@ def _with(kind: FaultKind, at_s: float = 3.0, **more: float) -> tuple[DeviceFaul
 
 
 def _lagging(random: np.random.Generator) -> Iterator[DeviceCase]:
-    """Lags with a fault after some seconds."""
     kinds: tuple[FaultKind, ...] = ("stuck", "silent", "outside", "restarts", "stuck")
     for lag_s, kind in zip((0.05, 0.15, 0.25, 0.35, 0.5), kinds, strict=True):
         body, at_s = Body(lag_s=lag_s), float(random.uniform(4.0, 8.0))
@@ -92,7 +89,7 @@ def _lagging(random: np.random.Generator) -> Iterator[DeviceCase]:
 
 
 def _aging() -> Iterator[DeviceCase]:
-    """Readings that come later and later, at 25 Hz and at 1 kHz."""
+    """Devices with increasingly late readings, at 25 Hz and at 1 kHz."""
     for hz in (25.0, 1000.0):
         for size in (0.01, 0.05, 0.2):
             faults = _with("ages", 2.0, size=size)
@@ -100,7 +97,7 @@ def _aging() -> Iterator[DeviceCase]:
 
 
 def _bodies(random: np.random.Generator) -> Iterator[DeviceCase]:
-    """Gains, an inverted tip, oscillations: nothing has to be found there, but limits hold."""
+    """Devices with other gains, an inverted tip or oscillations: no fault has to be detected, but limits hold."""
     for gain in (0.3, 0.5, 2.0, 3.0):
         yield DeviceCase(DeviceSpec(f"gain x {gain:g}", Body(gain=gain)))
     yield DeviceCase(DeviceSpec("gain x 3, lag 0.3 s", Body(gain=3.0, lag_s=0.3)))
@@ -122,7 +119,7 @@ def _bodies(random: np.random.Generator) -> Iterator[DeviceCase]:
 
 
 def _tips(random: np.random.Generator) -> Iterator[DeviceCase]:
-    """Tips that stick or tremble."""
+    """Devices with a tip that sticks or trembles."""
     yield DeviceCase(DeviceSpec("stuck at once", faults=_with("stuck", 0.0)))
     for _ in range(2):
         at_s = float(random.uniform(4.0, 9.0))
@@ -140,7 +137,7 @@ def _tips(random: np.random.Generator) -> Iterator[DeviceCase]:
 
 
 def _sensors(random: np.random.Generator) -> Iterator[DeviceCase]:
-    """Sensors out of range, shifted, with spikes, silent, quantised."""
+    """Devices with a sensor out of range, shifted, with spikes, silent, or quantised."""
     for hz in (2.0, 0.5):
         faults = _with("outside", 4.0, period_s=0.5 / hz)
         yield DeviceCase(DeviceSpec(f"out of range in turns at {hz:g} Hz", faults=faults))
@@ -154,7 +151,6 @@ def _sensors(random: np.random.Generator) -> Iterator[DeviceCase]:
 
 
 def _held() -> Iterator[DeviceCase]:
-    """What it says that it holds is false."""
     for kind_of, size, lasts_s in (("burst", 5.5, 0.24), ("burst", 0.0, 0.24), ("constant", 2.0, math.inf)):
         fault = DeviceFault("held", 3.0, size=size, lasts_s=lasts_s)
         yield DeviceCase(DeviceSpec(f"false held, {kind_of} of {size:g}", faults=(fault,)))
@@ -165,7 +161,6 @@ def _held() -> Iterator[DeviceCase]:
 
 
 def _wires() -> Iterator[DeviceCase]:
-    """Calls that take time."""
     for ms in (5, 20, 50, 90):
         yield DeviceCase(DeviceSpec(f"read takes {ms} ms", faults=_with("reads_slowly", 3.0, size=1e-3 * ms)))
     for ms in (20, 90):
@@ -179,7 +174,7 @@ def _wires() -> Iterator[DeviceCase]:
 
 
 def _drives() -> Iterator[DeviceCase]:
-    """Restarts, deafness, a watchdog that acts, a drive that moves by itself."""
+    """Devices that restart, refuse commands, act by their watchdog, or move by themselves."""
     for at_s in (0.5, 6.0):
         yield DeviceCase(DeviceSpec(f"restarts after {at_s:g} s", faults=_with("restarts", at_s)))
     yield DeviceCase(DeviceSpec("talks and does not listen", faults=_with("deaf", 4.0)))
@@ -219,7 +214,7 @@ def _well(name: str, body: Body, bench: Mapping[str, Any] | None = None, **more:
 
 
 def device_cases() -> tuple[DeviceCase, ...]:
-    """All of them; the same at every call."""
+    """All device cases; equal at every call."""
     random = np.random.default_rng(_SEED)
     found = [*_lagging(random), *_aging(), *_bodies(random), *_tips(random), *_sensors(random)]
     found += [*_held(), *_wires(), *_drives(), *_healthy(random)]
@@ -227,7 +222,7 @@ def device_cases() -> tuple[DeviceCase, ...]:
 
 
 def device_plays(cases: tuple[DeviceCase, ...], movers: tuple[Mover, ...] = MOVERS) -> tuple[DevicePlay, ...]:
-    """Every device with every mover that is meant for it; a run with each law in turn, at times in C, some over UDP."""
+    """Every device with each of its movers; runs alternate the laws, some in C, some over UDP."""
     found = []
     for case in cases:
         k = case.device.seed
@@ -243,14 +238,14 @@ def device_plays(cases: tuple[DeviceCase, ...], movers: tuple[Mover, ...] = MOVE
 
 
 def _over_udp(case: DeviceCase) -> DevicePlay:
-    """At the loop's rate, since the loop in C leaves a sample with several readings to Python, or at 1 kHz."""
+    """Device at the loop's rate or 1 kHz, since the loop in C leaves a sample with several readings to Python."""
     device = case.device if case.device.stream_hz >= _FAST_HZ else replace(case.device, stream_hz=_LOOP_HZ)
     how = How(LAW[0], "c", udp=True, bench=case.bench)
     return DevicePlay(replace(case, device=device), "run", how)
 
 
 def played(play: DevicePlay, folder: Path) -> DeviceVerdict:
-    """Play one, in a new folder, and judge it by the device's log."""
+    """Play one case in a new folder and judge it by the device's log."""
     folder.mkdir(parents=True)
     device = HostileDevice(play.case.device)
     asked, ending = use(play.mover, device, folder, play.how)
@@ -259,11 +254,7 @@ def played(play: DevicePlay, folder: Path) -> DeviceVerdict:
 
 
 def played_all(plays: Sequence[DevicePlay], folder: Path, jobs: int = 1) -> Iterator[DeviceVerdict]:
-    """Verdicts of all plays in order, each play in a separate folder.
-
-    Args:
-        jobs: processes.
-    """
+    """Verdicts of all plays in order, each in a separate folder, by `jobs` processes."""
     places = [folder / f"{k:03d}_{play.mover}" for k, play in enumerate(plays)]
     if jobs == 1:
         yield from map(played, plays, places)

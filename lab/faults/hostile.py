@@ -1,4 +1,4 @@
-"""A device on a virtual clock that may be hostile: drive, sensor, stream, watchdog and log; also behind a real wire."""
+"""Simulated hostile device on a virtual clock: drive, sensor, stream, watchdog and log; also over UDP."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ from .description import SAFE, BodyState, DeviceFault, DeviceSpec, FaultKind, Ro
 
 _NS = 1_000_000_000
 _STEP_NS = 2_000_000  # of the body, at most
-_ROW_NS = 10_000_000  # between two rows of the log, commands left out
-_SOCKET = 256  # readings that wait to be read; the newest are lost beyond, as in a socket
-_BETWEEN_NS = 200_000_000  # that pass between two connections
+_ROW_NS = 10_000_000  # period of the log rows, besides commands
+_SOCKET = 256  # capacity for unread readings; beyond it the newest are lost, as in a socket
+_BETWEEN_NS = 200_000_000  # time between two connections
 _OUTSIDE_DEG = 9_999.0
 _LONGEST_NS = 600 * _NS
 
 
 class EndlessError(BaseException):
-    """A device has been looked at for so long that whoever does it has lost count; nothing catches it by the way."""
+    """Error of a device that is used for longer than its time limit, an endless loop; never caught in passing."""
 
 
 @dataclass
 class DeviceState:
-    """Everything about a device that changes."""
+    """Variable state of a device."""
 
     body: BodyState
     ns: int = _NS
@@ -48,8 +48,8 @@ class DeviceState:
     shown_deg: float = math.nan
     next_reading_ns: int = _NS
     next_row_ns: int = _NS
-    newest_ns: int = _NS  # when the newest reading that was read had been taken
-    heard_ns: int | None = None  # last word of a controller; None where the watchdog rests
+    newest_ns: int = _NS  # measurement time of the newest reading that was read
+    heard_ns: int | None = None  # time of a controller's last message; None if the watchdog is off
     returns: bool = False
     deaf: bool = True
     sequence: int = 0
@@ -76,11 +76,7 @@ class DeviceReading:
 
 @final
 class HostileDevice:
-    """A device that is computed between the moments at which somebody looks at it; goes on over several connections.
-
-    Args:
-        spec: what it is.
-    """
+    """Simulated device, computed up to the time of each access, over several consecutive connections."""
 
     def __init__(self, spec: DeviceSpec) -> None:
         self.spec, self.rows = spec, list[Row]()
@@ -90,37 +86,37 @@ class HostileDevice:
         self._period_ns = round(_NS / spec.stream_hz)
 
     def began_s(self, kind: FaultKind) -> float:
-        """When the fault of that kind began [s]; NaN where there is none, or it has not."""
+        """Start time of the fault of that kind [s]; NaN before it or without it."""
         for fault, began in zip(self.spec.faults, self.state.began_ns, strict=True):
             if fault.kind == kind and began is not None and began <= self.state.ns:
                 return began / _NS
         return math.nan
 
     def connect(self, clock: Clock) -> Connection:
-        """A wire to it, on somebody's clock."""
+        """Connect a controller with its clock; return the connection."""
         self.begin()
         return Connection(self, clock)
 
     def begin(self) -> None:
-        """Somebody connects; what was on the way to those before is lost, and a greeting is wanted."""
+        """Begin a connection: earlier messages in transit are lost, and a greeting is required."""
         state = self.state
         self.advance(state.ns + _BETWEEN_NS)
         self._wire.clear()
         state.motion, state.open, state.deaf = state.motion + 1, True, True
 
     def leave(self, goodbye: bool) -> None:
-        """A controller has gone; its goodbye lets the watchdog rest where the drive does."""
+        """End a connection; the goodbye disables the watchdog if the drive is at rest."""
         state = self.state
         state.open = False
         if goodbye and abs(state.position - SAFE) <= 1e-3:
             state.heard_ns = None
 
     def settle(self, seconds: float) -> None:
-        """Time that passes without a controller."""
+        """Advance the time without a controller."""
         self.advance(self.state.ns + round(seconds * _NS))
 
     def active(self, kind: FaultKind) -> DeviceFault | None:
-        """The fault of that kind, where it is going on."""
+        """Fault of that kind if it is active, else None."""
         for fault, began in zip(self.spec.faults, self.state.began_ns, strict=True):
             if fault.kind == kind and began is not None:
                 since_s = (self.state.ns - began) / _NS
@@ -134,7 +130,7 @@ class HostileDevice:
         return turns and int(since_s / fault.period_s) % 2 == 1
 
     def advance(self, ns: int) -> None:
-        """Compute it up to a moment.
+        """Compute the device up to a given time.
 
         Raises:
             EndlessError: beyond ten minutes of its time.
@@ -155,7 +151,7 @@ class HostileDevice:
                 state.next_row_ns += _ROW_NS
 
     def take(self, command: float) -> None:
-        """A command has arrived."""
+        """Receive a command."""
         state, before = self.state, self.state.target
         for k, (fault, began) in enumerate(zip(self.spec.faults, state.began_ns, strict=True)):
             if began is None and state.motion >= fault.motion:
@@ -168,11 +164,11 @@ class HostileDevice:
         self._note(command, before)
 
     def greet(self) -> None:
-        """A controller asks to be listened to."""
+        """Receive a greeting of a controller."""
         self.state.deaf = False
 
     def due(self) -> DeviceReading | None:
-        """The oldest reading that has arrived; one of this moment where `read` always has something."""
+        """Oldest reading that has arrived; a present one if `read` always has something."""
         if self.active("reads_slowly") is not None:
             self._wire.clear()
             self._show(flight_s=0.0)
@@ -183,7 +179,7 @@ class HostileDevice:
         return found
 
     def once(self, kind: FaultKind) -> float:
-        """How long a fault that happens once takes [s]; 0 where it has not come or is over."""
+        """Duration of a single fault [s]; 0 before its start or after its end."""
         fault = self.active(kind)
         if fault is None or fault.kind in self.state.done:
             return 0.0
@@ -223,7 +219,6 @@ class HostileDevice:
             state.returns, state.deaf, state.heard_ns = True, True, None
 
     def _show(self, flight_s: float | None = None) -> None:
-        """Send one reading."""
         state, spec = self.state, self.spec
         state.sequence += 1
         state.told = self._told()
@@ -278,7 +273,7 @@ class HostileDevice:
 
 @final
 class Connection(Transport):
-    """A wire to a device; `read` and `write` may take time, which then passes on the clock.
+    """Connection to a device; `read` and `write` may take time, which then passes on the clock.
 
     Args:
         clock: of whoever controls; it is made to pass by waiting.
@@ -330,14 +325,14 @@ class Connection(Transport):
 
 
 class HostileSettings(SimulatedSettings):
-    """A hostile device in the place of a simulated one: every room takes it for one, and goes on its virtual clock."""
+    """Settings of a hostile device in place of a simulated one, on its virtual clock."""
 
     in_process: ClassVar[bool] = True
     _device: HostileDevice | None = PrivateAttr(None)
 
     @classmethod
     def of(cls, device: HostileDevice) -> HostileSettings:
-        """Of a device that is there already."""
+        """Settings of an existing device."""
         settings = cls(kind="simulated", plant={"hostile": device.spec.name}, seed=device.spec.seed)
         settings._device = device
         return settings
@@ -348,7 +343,7 @@ class HostileSettings(SimulatedSettings):
 
 
 def clock_of(run: RunContext) -> Clock:
-    """The clock that a run goes by: a device whose `read` takes time has to make it pass."""
+    """Clock of a run; a device with a slow `read` advances it."""
     clock: Any = getattr(run.now_ns, "__self__", None)
     assert clock is not None, "a hostile device needs the clock itself"
     found: Clock = clock
@@ -357,12 +352,12 @@ def clock_of(run: RunContext) -> Clock:
 
 _HOST = "127.0.0.1"
 _PAUSE_S = 0.0005
-_PATIENCE_S = 60.0  # a process that starts on a busy machine
+_PATIENCE_S = 60.0  # start of a process on a busy machine
 
 
 @contextmanager
 def served(device: HostileDevice) -> Iterator[int]:
-    """The UDP port at which the device answers while the block lasts; it has gone through all of it afterwards.
+    """Serve the device over UDP within the block; yields the port, and updates the device at the end.
 
     Raises:
         ConfigError: if its process does not start.
@@ -383,7 +378,6 @@ def served(device: HostileDevice) -> Iterator[int]:
 
 
 def _serve(spec: DeviceSpec, pipe: Pipe) -> None:
-    """Until somebody ends it."""
     device, link = HostileDevice(spec), UdpLink(_HOST, 0, spec.watchdog_s)
     device.begin()
     offset = time.monotonic_ns() - device.state.ns

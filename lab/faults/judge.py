@@ -1,4 +1,4 @@
-"""Verdict on a case: commands within limits, way to the safe state, log, what the user saw."""
+"""Verdict on a case: commands within limits, return to the safe state, log, messages to the user."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class FaultVerdict:
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """Requirements that are not met, in words."""
+        """Violated requirements, in words."""
         found = {
             f"{self.got} instead of {self.expected}": self.got != self.expected,
             f"{self.beyond} commands beyond the limits": self.beyond != 0,
@@ -69,12 +69,12 @@ class FaultVerdict:
 
     @property
     def passed(self) -> bool:
-        """Whether everything is as it has to be."""
+        """Whether all requirements are met."""
         return not self.failures
 
 
 def judge(case: FaultCase, played: Played) -> FaultVerdict:
-    """The row of a case."""
+    """Judge a case; return its row."""
     rows = device_log(played.folder)
     received = [(row[0], row[2]) for row in rows if math.isfinite(row[2])]
     log, beyond = _log(played.folder / "run", case)
@@ -103,12 +103,12 @@ def _ending(case: FaultCase, played: Played, commands: int) -> str:
     if code == _STOPPED:
         return "stops"
     if case.signal == "SIGHUP" and _latched(played.folder) == "SIGHUP":
-        return "stops"  # nobody reads the exit code of what ran in a terminal that is gone
+        return "stops"  # a program in a closed terminal has no exit code
     return "refuses" if not commands else f"exit code {code}"
 
 
 def _latched(folder: Path) -> str:
-    """The cause of the stop that is latched, empty where none is."""
+    """Cause of the latched stop, empty without one."""
     try:
         return str(json.loads((folder / "latched.json").read_text(encoding="utf-8"))["cause"])
     except (OSError, ValueError, KeyError):
@@ -116,10 +116,7 @@ def _latched(folder: Path) -> str:
 
 
 def _beyond(received: Sequence[tuple[float, float]]) -> int:
-    """Commands (time of receipt [ns], value) beyond the limits; the rate has a sample's grace for either end's jitter.
-
-    The log of the controller is looked at without any, see `_log`.
-    """
+    """Commands (receipt time [ns], value) beyond the limits; the rate has one sample of grace for jitter."""
     count = 0
     for (t0, u0), (t1, u1) in pairwise(received):
         count += abs(u1 - u0) > RATE_PER_S * (1e-9 * (t1 - t0) + 2 / RATE_HZ) + _CLOSE
@@ -131,7 +128,7 @@ def _fault_ns(case: FaultCase, played: Played, received: Sequence[tuple[float, f
 
 
 def _safe_s(case: FaultCase, played: Played, rows: Rows, received: Sequence[tuple[float, float]]) -> float:
-    """Time from the fault until the device holds the safe command for good; none for one that is gone."""
+    """Time from the fault until the device holds the safe command permanently; NaN for a killed device."""
     if case.expected in ("goes on", "refuses") or case.device_gone or not received:
         return math.nan
     moving = [row[0] for row in rows if abs(row[3] - SAFE) > _CLOSE]
@@ -141,18 +138,18 @@ def _safe_s(case: FaultCase, played: Played, rows: Rows, received: Sequence[tupl
 
 
 def _rise_mm(case: FaultCase, played: Played, rows: Rows, received: Sequence[tuple[float, float]]) -> float:
-    """Greatest distance from the safe command since the controller had to detect the fault."""
+    """Greatest distance from the safe command after the latest time of detection by the controller."""
     if case.expected in ("goes on", "refuses") or case.device_gone or not received:
         return math.nan
     since = _fault_ns(case, played, received) + 1e9 * (case.notice_s + IN_FLIGHT_S)
-    if case.restart:  # a device that comes back holds its rest: what the one before it held is over
+    if case.restart:  # a restarted device is at rest, whatever it held before
         since = max((b[0] for a, b in pairwise(rows) if b[1] < a[1]), default=since)
     first = max((k for k, row in enumerate(rows) if row[0] <= since), default=0)
     return rise([abs(row[3] - SAFE) for row in rows[first:]])
 
 
 def rise(distances: Sequence[float]) -> float:
-    """The greatest increase of a distance above its least value so far, in its unit."""
+    """Greatest increase of a distance above its minimum so far, in its unit."""
     least, greatest = math.inf, 0.0
     for distance in distances:
         least = min(least, distance)
@@ -179,11 +176,7 @@ def _claim(played: Played, rows: Rows) -> str:
 
 
 def _log(folder: Path, case: FaultCase) -> tuple[str, int]:
-    """Whether the log is whole, and commands in it beyond the limits: sample by sample, without grace.
-
-    A sample in which nothing was sent has the source `wait` and the command that the device says it holds, which may be
-    anywhere. The command after it is measured from there, as every other one from that before.
-    """
+    """Whether the log is whole, and its commands beyond the limits; a sample `wait` holds a reported command."""
     if case.expected == "refuses":
         return ("whole" if not (folder / "log.csv").exists() else "a log without a run"), 0
     try:
@@ -214,7 +207,7 @@ def _wholeness(folder: Path, case: FaultCase, sources: Sequence[str], sequence: 
 
 
 def _seen(said: str) -> str:
-    """The most important line for the operator."""
+    """Most important line for the operator."""
     lines = [line.strip() for line in said.splitlines() if line.strip()]
     for start in ("error:", "stopped:"):
         for line in lines:

@@ -1,4 +1,4 @@
-"""Everything of the package that moves a device, each let loose on a hostile one on a virtual clock."""
+"""Programs of the package that move a device, each applied to a hostile device on a virtual clock."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ LAW: tuple[str, ...] = ("linearised_mpc", "pid", "inverse")
 ANGLE_LIMITS_DEG = (10.0, 110.0)
 """Where the tip may go in a commissioning and an investigation [deg]."""
 
-_SETTLE_S = 6.0  # that a device is watched after everybody has left: its watchdog and the way back
+_SETTLE_S = 6.0  # observation after the last connection: watchdog and return
 _REFERENCE: Mapping[str, Any] = {
     "kind": "scan_sinusoid",
     "start_deg": 45.0,
@@ -84,7 +84,7 @@ _LATCH = "latched.json"
 
 @dataclass(frozen=True)
 class How:
-    """How a device is used.
+    """Conditions under which a device is used.
 
     Attributes:
         law: kind of the controller of `run` and `ros2`.
@@ -106,11 +106,11 @@ Move = Callable[[], Ending]
 
 
 class RecordedError(Exception):
-    """All recordings are made: what a commissioning or an investigation does with them needs no device."""
+    """Error that ends a commissioning or an investigation after all recordings; the rest needs no device."""
 
 
 def use(mover: Mover, device: HostileDevice, folder: Path, how: How = How()) -> tuple[Asked, Ending]:
-    """Let one of the movers loose on a device, and watch it until it has to be at rest."""
+    """Apply one of the movers to a device, and observe it until it has to be at rest."""
     settings = _bench(device, folder, how)
     if how.udp:
         with served(device) as port:
@@ -140,7 +140,7 @@ def use(mover: Mover, device: HostileDevice, folder: Path, how: How = How()) -> 
 
 
 def _in_c(folder: Path) -> int:
-    """Samples of a run that were taken whole in C."""
+    """Number of samples of a run executed wholly in C."""
     files = sorted(folder.rglob("timing.json"))
     return int(json.loads(files[-1].read_text(encoding="utf-8"))["outcome"]["in_c"]) if files else 0
 
@@ -153,7 +153,7 @@ def _bench(device: HostileDevice, folder: Path, how: How) -> dict[str, Any]:
 
 
 def _ended(move: Move, folder: Path) -> Ending:
-    """How it ended; anything that is no error of ours is a fault of the program."""
+    """Ending of a mover; an exception from outside the package's own errors is a fault of the program."""
     latch = folder / _LATCH
     try:
         return move()
@@ -172,7 +172,7 @@ def _ended(move: Move, folder: Path) -> Ending:
 
 
 def _run(settings: dict[str, Any], folder: Path, how: How) -> Move:
-    """As `run_experiment` does it; over a real wire with the recording in a process of its own."""
+    """Run an experiment as `run_experiment`; over a real wire with the recording in a separate process."""
     wanted = {**_REFERENCE, "cycles": _UDP_CYCLES} if how.udp else _REFERENCE
     tip = {"model": "builtin:pi", "controller": {"kind": how.law}}
     run = RunSettings.parse({**settings, "controller": tip, "reference": dict(wanted)})
@@ -196,7 +196,6 @@ def _recorder(run: RunSettings, folder: Path) -> Sink:
 
 
 def _record(settings: dict[str, Any], folder: Path, how: How) -> Move:
-    """As `record` does it."""
     del how
     bench = BenchSettings.parse({**settings, "realtime": {"backend": "python"}})
     commands = _excitation(bench)
@@ -210,7 +209,7 @@ def _record(settings: dict[str, Any], folder: Path, how: How) -> Move:
 
 
 def _excitation(bench: BenchSettings) -> Vec:
-    """Steps, holds and a sweep over most of the range, 20 s (N,)."""
+    """Excitation of steps, holds and a sweep over most of the range, 20 s (N,)."""
     t = bench.dt_s * np.arange(round(10.0 / bench.dt_s))
     way = 0.7 * bench.limits.upper
     sweep = 0.5 * way * (1.0 - np.cos(2.0 * math.pi * (0.2 + 0.02 * t) * t))
@@ -253,7 +252,7 @@ def _investigate(settings: dict[str, Any], folder: Path, how: How) -> Move:
 
 @final
 class OnlyRecordings(MovableDevice):
-    """A device that is not moved any more after so many recordings."""
+    """Device that raises `RecordedError` after a given number of recordings."""
 
     def __init__(self, device: BenchDevice, most: int) -> None:
         self._device, self._left = device, most
@@ -268,7 +267,7 @@ class OnlyRecordings(MovableDevice):
         self._device.explore(name, phase, bench)
 
     def play(self, name: str, commands: Vec, bench: BenchSettings) -> Trial:
-        """As the device does.
+        """Play as the device, up to the last recording.
 
         Raises:
             RecordedError: after the last one.
@@ -309,7 +308,7 @@ def _ros2(settings: dict[str, Any], folder: Path, how: How) -> Move:
 
 
 def _steered(node: Any, tip: TipController, clock: SimulatedClock, dt_s: float) -> Ending:
-    """The node for as long as it is given targets, or until it has stopped."""
+    """Run the ROS 2 node while it is given targets, or until it has stopped."""
     targets, said = list(_ROS_TARGETS_DEG), ""
     for k in range(round(_ROS_S / dt_s)):
         _turn(node, clock, dt_s)
@@ -318,7 +317,7 @@ def _steered(node: Any, tip: TipController, clock: SimulatedClock, dt_s: float) 
             break
         if not node.over and k * dt_s >= _ROS_STAYS_S * (len(_ROS_TARGETS_DEG) - len(targets)) and targets:
             tip.set_target(targets.pop(0))
-    for _ in range(round(_ROS_STAYS_S / dt_s)):  # a stop is on its way
+    for _ in range(round(_ROS_STAYS_S / dt_s)):  # time for a stop in progress
         _turn(node, clock, dt_s)
     node.leave("the node is ended")
     for _ in range(round(_ROS_STAYS_S / dt_s)):
@@ -330,7 +329,7 @@ def _steered(node: Any, tip: TipController, clock: SimulatedClock, dt_s: float) 
 
 
 def _turn(node: Any, clock: SimulatedClock, dt_s: float) -> None:
-    """One sample of a timer that calls late where the node has taken longer."""
+    """Execute one sample of a timer that calls late after a long computation of the node."""
     period = round(1e9 * dt_s)
     clock.wait_until(clock.now_ns() // period * period + period)
     node.sample()

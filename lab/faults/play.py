@@ -1,4 +1,4 @@
-"""Playing one case: device and controller in processes of their own, over UDP or DDS on the loopback."""
+"""Player of one case: device and controller in separate processes, over UDP or DDS on the loopback."""
 
 from __future__ import annotations
 
@@ -54,13 +54,13 @@ _ENDLESSLY = f"error: the controller did not end within {_END_S:g} s"
 
 
 def start(arguments: Sequence[object], program: Sequence[str] = PROGRAM, **more: Any) -> subprocess.Popen[str]:
-    """A process of `hystmpc` with these arguments; what it says comes through one pipe."""
+    """Start a process of `hystmpc` with these arguments; its output comes through one pipe."""
     command = [*program, *map(str, arguments)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, **more)
 
 
 def start_device(config: Path, program: Sequence[str] = PROGRAM) -> tuple[subprocess.Popen[str], int]:
-    """A device that is ready, and the UDP port that it listens at; 0 for one behind DDS.
+    """Start a device and return it with its UDP port; 0 for DDS.
 
     Raises:
         ConfigError: with what it said if it does not start.
@@ -71,7 +71,7 @@ def start_device(config: Path, program: Sequence[str] = PROGRAM) -> tuple[subpro
         line = device.stdout.readline()
         if "device ready" not in line:
             raise ConfigError(f"device: got {line.strip()!r}, expected it to start")
-    except BaseException:  # Ctrl-C, too, must not leave it behind
+    except BaseException:  # no process may be left, even after Ctrl-C
         end(device)
         raise
     found = _PORT.search(line)
@@ -79,7 +79,7 @@ def start_device(config: Path, program: Sequence[str] = PROGRAM) -> tuple[subpro
 
 
 def end(process: subprocess.Popen[str]) -> None:
-    """End a process as Ctrl-C does, or for good where it does not listen."""
+    """End a process as Ctrl-C does; kill it if it does not end."""
     if process.poll() is None:
         process.send_signal(signal.SIGCONT)
         process.send_signal(signal.SIGINT)
@@ -94,7 +94,7 @@ def end(process: subprocess.Popen[str]) -> None:
 
 @final
 class Terminal:
-    """A terminal with a shell and one program in it; Ctrl-C and closing reach all that the program has started."""
+    """Terminal with a shell and one program; Ctrl-C and closing reach all processes started by the program."""
 
     def __init__(self, arguments: Sequence[object], program: Sequence[str] = PROGRAM) -> None:
         self._ours, theirs = pty.openpty()
@@ -118,7 +118,7 @@ class Terminal:
         return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text)
 
     def type_ctrl_c(self) -> None:
-        """Type Ctrl-C: SIGINT to the program and to whatever it has started."""
+        """Type Ctrl-C, which sends SIGINT to the program and all processes started by it."""
         os.write(self._ours, _CTRL_C)
 
     def wait(self, timeout_s: float) -> int:
@@ -132,7 +132,7 @@ class Terminal:
         return code
 
     def close(self) -> None:
-        """Close the terminal: SIGHUP to all of them, and nothing can be written any more; may be called twice."""
+        """Close the terminal: SIGHUP to all its processes, no further output; a second call is allowed."""
         if not self._closing.is_set():
             self._closing.set()
             self._reader.join()  # a read that waits would keep the terminal open
@@ -172,11 +172,7 @@ class Played:
 
 
 def play(case: FaultCase, folder: Path, link: Link = Link(), program: Sequence[str] = PROGRAM) -> Played:
-    """Play one case in a new folder.
-
-    Args:
-        program: the command line that starts `hystmpc`.
-    """
+    """Play one case in a new folder."""
     folder.mkdir(parents=True)
     stage = _Stage(case, folder, link, program)
     try:
@@ -187,8 +183,6 @@ def play(case: FaultCase, folder: Path, link: Link = Link(), program: Sequence[s
 
 @final
 class _Stage:
-    """The processes of one case."""
-
     def __init__(self, case: FaultCase, folder: Path, link: Link, program: Sequence[str]) -> None:
         self._case, self._folder, self._link, self._program = case, folder, link, program
         self._processes: list[subprocess.Popen[str]] = []
@@ -197,7 +191,7 @@ class _Stage:
         self._second_code: int | None = None
 
     def play(self) -> Played:
-        """Start both, let the fault happen, wait until the device is at rest."""
+        """Start both processes, apply the fault, wait until the device is at rest."""
         case = self._case
         device = self._device()
         controller = self._controller()
@@ -213,7 +207,6 @@ class _Stage:
         return Played(self._folder, self._link, self._fault_ns, ended_ns, code, said, self._second_code)
 
     def clear(self) -> None:
-        """End whatever still runs."""
         if self._terminal is not None:
             self._terminal.close()
         for process in self._processes:
@@ -239,7 +232,7 @@ class _Stage:
         return process
 
     def _happen(self, device: subprocess.Popen[str], controller: subprocess.Popen[str]) -> None:
-        """Wait for the moment of the fault, and let a process have its signal."""
+        """Wait for the time of the fault, and send the signal to the process."""
         case = self._case
         if (case.kill is None and case.second is None) or not self._wait(controller, _commanded):
             return
@@ -253,7 +246,7 @@ class _Stage:
             self._strike(device if case.kill == "device" else controller)
 
     def _strike(self, process: subprocess.Popen[str]) -> None:
-        """Send the signal; a paused process goes on after a while, a killed device may come back."""
+        """Send the signal; a paused process continues later, a killed device may be restarted."""
         case, number = self._case, getattr(signal, self._case.signal)
         self._fault_ns = time.monotonic_ns()
         if self._terminal is not None and number == signal.SIGINT:
@@ -270,7 +263,7 @@ class _Stage:
             self._device()
 
     def _second(self) -> None:
-        """A second run with the first one's configuration, to its end."""
+        """Run a second controller with the first one's configuration, to its end."""
         assert self._case.second is not None
         where = ["--out", self._folder / "second"]
         second = start(["run", self._folder / "run.yaml", *where, *self._case.second.arguments], self._program)
@@ -279,7 +272,7 @@ class _Stage:
         (self._folder / "second.txt").write_text(f"{said}\nexit code {self._second_code}\n", encoding="utf-8")
 
     def _result(self, controller: subprocess.Popen[str]) -> tuple[int, str]:
-        """Exit code and output of the controller; 124 for one that does not end."""
+        """Exit code and output of the controller; 124 if it does not end."""
         if self._terminal is None:
             return _output(controller)
         try:
@@ -289,7 +282,7 @@ class _Stage:
         return code, self._terminal.said
 
     def _settle(self) -> None:
-        """Wait until the device holds the safe command for half a second, or ought to have come there."""
+        """Wait until the device holds the safe command for half a second, or the time for its return is over."""
         rows = device_log(self._folder)
         until = time.monotonic() + watchdog_s(self._case) + _SPARE_S
         count = round(0.5 * RATE_HZ)
@@ -301,7 +294,7 @@ class _Stage:
             time.sleep(0.1)
 
     def _wait(self, controller: subprocess.Popen[str], seen: Callable[[Sequence[tuple[float, ...]]], bool]) -> bool:
-        """Wait until the device's log shows something; False where the controller has ended before."""
+        """Wait for a condition on the device's log; return False if the controller has ended before."""
         until = time.monotonic() + _START_S
         while time.monotonic() < until and controller.poll() is None:
             if seen(device_log(self._folder, 2000)):
@@ -323,7 +316,7 @@ def _commanded(rows: Sequence[tuple[float, ...]]) -> bool:
 
 
 def _rises(rows: Sequence[tuple[float, ...]], height: float, rising_per_s: float) -> bool:
-    """Whether the device holds at least `height` and has risen so fast over its last three samples."""
+    """Whether the device holds at least `height` and has risen at that rate over its last three samples."""
     held = [row[3] for row in rows[-4:]]
     return len(held) == 4 and held[-1] >= height and held[-1] - held[0] > 3 * rising_per_s / RATE_HZ
 

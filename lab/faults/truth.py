@@ -1,4 +1,4 @@
-"""Verdict on a played device from its log: commands, rate, angle limits, when a fault showed, when motion ended."""
+"""Verdict on a played device from its log: commands, rate, angle limits, time of the fault's effect, last motion."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ _WATCHED_S = 3.0  # after the tip has passed its limits
 
 @dataclass(frozen=True)
 class Asked:
-    """What a device was used with.
+    """Conditions of a device's use.
 
     Attributes:
         lower, upper, rate_per_s: limits of the command [mm, mm/s].
         dt_s: sample time [s].
-        overshoot: how far a stop may go on [mm].
+        overshoot: permitted overshoot of a stop [mm].
         sensor_deg: range of plausible angles [deg].
-        angle_limits_deg: where the tip may go; None where the mover knows none [deg].
-        grace_s: by which commands may come earlier than they were sent, on a clock that is not computed [s].
+        angle_limits_deg: permitted range of the tip; None if the mover has none [deg].
+        grace_s: tolerance of the arrival times of commands, on a clock that is not computed [s].
     """
 
     mover: Mover
@@ -61,13 +61,12 @@ class Asked:
 
 @dataclass(frozen=True)
 class Ending:
-    """How a mover came to its end.
+    """End of a mover.
 
     Attributes:
-        how: it came to its end, was stopped, ended early or refused with a reason, or raised what is no error of ours.
+        how: regular end, stopped, ended early, refused with a reason, or an exception that is not the package's own.
         words: the cause, in the words of the program.
-        latched: whether the stop is latched.
-        in_c: samples that were taken whole in C; -1 where none had to be.
+        in_c: samples executed wholly in C; -1 where none was required.
     """
 
     how: Literal["ended", "stopped", "early", "refused", "raised"]
@@ -81,12 +80,10 @@ class DeviceVerdict:
     """One row of the table.
 
     Attributes:
-        healthy: whether it must not be stopped.
-        commands: that the device took; `beyond` of them beyond limits or rate.
-        shows_s: when a fault showed, on the device's clock; NaN where none did [s].
-        moved_s: from then to the last motion away from the safe command; 0 where there was none [s].
-        past_deg: how far the tip went beyond the angle limits, what cannot be avoided taken off [deg].
-        failures: what is not as it has to be.
+        commands: accepted by the device; `beyond` of them beyond limits or rate.
+        shows_s: first visible effect of a fault, on the device's clock; NaN without one [s].
+        moved_s: time from then to the last motion away from the safe command; 0 without one [s].
+        past_deg: overshoot of the tip beyond the angle limits, without the unavoidable part [deg].
     """
 
     name: str
@@ -103,13 +100,13 @@ class DeviceVerdict:
 
     @property
     def passed(self) -> bool:
-        """Whether everything is as it has to be."""
+        """Whether all requirements are met."""
         return not self.failures
 
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """A device's log as columns (N,), and what it was used with."""
+    """Log of a device as columns (N,), and the conditions of its use."""
 
     asked: Asked
     device: HostileDevice
@@ -125,7 +122,7 @@ class Truth:
 
     @classmethod
     def of(cls, device: HostileDevice, asked: Asked) -> Truth:
-        """Of a device that has been used."""
+        """Truth of a used device."""
         rows: list[Row] = device.rows
 
         def column(name: str) -> Vec:
@@ -136,15 +133,15 @@ class Truth:
 
     @property
     def commands(self) -> Rows:
-        """Numbers of the rows with a command."""
+        """Indices of the rows with a command."""
         return np.flatnonzero(np.isfinite(self.received))
 
 
 def beyond(truth: Truth) -> int:
-    """Commands beyond the value limits, or farther from what the device held than the rate allows in the time since.
+    """Commands beyond the value limits, or farther from the held command than the rate allows in the elapsed time.
 
-    A device that does not take what it is sent is judged by the command before, too. One that says something false
-    after a silence in which its watchdog may have acted is believed, where that lies on the watchdog's way.
+    A device that refuses commands is judged by the previous command, too. A false report after a silence in which the
+    watchdog may have acted is believed if it lies on the watchdog's path.
     """
     asked, at = truth.asked, truth.commands
     span = asked.upper - asked.lower
@@ -169,8 +166,8 @@ def beyond(truth: Truth) -> int:
 def past_deg(truth: Truth) -> float:
     """Overshoot of the tip beyond the angle limits, minus the unavoidable part [deg]; 0 without limits.
 
-    That is the 2 % which `Bounded` allows, what is sent in one sample and in the one that its median waits for, what
-    the tip still has to go after commands sent before, and the overshoot of a stop; twice of it where it swings.
+    Unavoidable are the 2 % of `Bounded`, the motion in one sample and in the one for its median, the tip's remaining
+    motion by commands already sent, and the overshoot of a stop; twice of it for an oscillating tip.
     """
     limits, asked, spec = truth.asked.angle_limits_deg, truth.asked, truth.device.spec
     steeper = max((fault.size for fault in spec.faults if fault.kind == "steepens"), default=1.0)
@@ -195,9 +192,9 @@ def past_deg(truth: Truth) -> float:
 
 
 def away_s(truth: Truth) -> Vec:
-    """Times (N,) of commands by which the device has gone away from the safe one by more than the overshoot, in all.
+    """Times (N,) of commands that move the device away from the safe command by more than the overshoot in total.
 
-    The level falls with each command that leads back, and with what the device does by itself it does not change.
+    The reference level falls with each command towards the safe one; motions of the device by itself do not change it.
     """
     level = least = 0.0
     found = []
@@ -211,7 +208,7 @@ def away_s(truth: Truth) -> Vec:
 
 
 def moved_after(truth: Truth, since_s: float) -> float:
-    """Time from `since_s` to the last command that leads away from the safe one by more than the overshoot [s]."""
+    """Time from `since_s` to the last command away from the safe one by more than the overshoot [s]."""
     late = truth.t >= since_s
     part = Truth(truth.asked, truth.device, *(getattr(truth, n)[late] for n in _COLUMNS))
     times = away_s(part)
@@ -222,10 +219,10 @@ _COLUMNS = ("t", "motion", "received", "before", "held", "told", "x", "angle", "
 
 
 def shows_s(truth: Truth) -> float:
-    """The first moment at which a fault has shown [s]; NaN where none has. Each kind's rule stands at its function."""
+    """Time of a fault's first visible effect [s]; NaN without one. The rule of each kind is in its function."""
     found = [_RULES[fault.kind](truth, fault) for fault in truth.device.spec.faults if fault.kind in _RULES]
     if not truth.asked.grace_s or any(fault.kind == "ages" for fault in truth.device.spec.faults):
-        found.append(_ages(truth))  # a device in real time stands still at times, and nothing is wrong with it
+        found.append(_ages(truth))  # a device in real time may stall without a fault
     if truth.device.spec.body.gain < 0 and truth.asked.mover in ("run", "ros2"):
         found.append(_against(truth))
     return min((t for t in found if math.isfinite(t)), default=math.nan)
@@ -236,7 +233,7 @@ def _began(truth: Truth, fault: DeviceFault) -> float:
 
 
 def _at_once(truth: Truth, fault: DeviceFault) -> float:
-    """At once."""
+    """Start of the fault."""
     return _began(truth, fault)
 
 
@@ -246,7 +243,7 @@ def _first(truth: Truth, where: NDArray[np.bool_]) -> float:
 
 
 def _stands(truth: Truth, fault: DeviceFault) -> float:
-    """Once the command, lagged as `plausibility.travel_s` allows, went through its `travel` since the tip stood."""
+    """Time at which the lagged command (`plausibility.travel_s`) has covered `travel` since the tip stopped."""
     began, asked = _began(truth, fault), truth.asked
     for motion in np.unique(truth.motion[(truth.t >= began) & (truth.motion >= 0)]):
         rows = np.flatnonzero(truth.motion == motion)
@@ -262,7 +259,7 @@ def _stands(truth: Truth, fault: DeviceFault) -> float:
 
 
 def _lagged(held: Vec, t: Vec) -> Vec:
-    """The command as the slowest device that `plausibility.travel_s` allows would follow it."""
+    """Command after the slowest lag that `plausibility.travel_s` allows."""
     found = held.copy()
     for k in range(1, held.size):
         found[k] = found[k - 1] + (held[k] - found[k - 1]) * -math.expm1(-(t[k] - t[k - 1]) / _WATCH.travel_s)
@@ -270,14 +267,14 @@ def _lagged(held: Vec, t: Vec) -> Vec:
 
 
 def _leaves(truth: Truth, fault: DeviceFault) -> float:
-    """At once, where it did not rest anyway."""
+    """Start of the fault, unless the device was at rest anyway."""
     began = _began(truth, fault)
     held = truth.held[truth.t < began]
     return began if held.size and abs(float(held[-1]) - SAFE) > _FOLLOWS_MM else math.nan
 
 
 def _outside(truth: Truth, fault: DeviceFault) -> float:
-    """At once where it is for good; in turns once a quarter of four seconds was without an angle."""
+    """Start of a permanent fault; for an alternating one, when a quarter of four seconds was without an angle."""
     began = _began(truth, fault)
     if not fault.period_s:
         return began
@@ -288,10 +285,7 @@ def _outside(truth: Truth, fault: DeviceFault) -> float:
 
 
 def _ages(truth: Truth) -> float:
-    """With a command for which all angles are older than `sensor.age_limit_s`, from the connection's beginning on.
-
-    Nobody knows how long the first readings of a connection were on their way; a period and a sample are no age.
-    """
+    """First command for which all angles are older than `sensor.age_limit_s`, a period and a sample not counted."""
     youngest = _AGE_S + max(truth.asked.dt_s, 1.0 / truth.device.spec.stream_hz)
     sent = np.isfinite(truth.received)
     found = []
@@ -315,17 +309,17 @@ def _stray(truth: Truth, fault: DeviceFault) -> float:
 
 
 def _by_itself(truth: Truth, fault: DeviceFault) -> float:
-    """A minute after it has begun."""
+    """One minute after the start of the fault."""
     return _began(truth, fault) + _BY_ITSELF_S
 
 
 def _awake(truth: Truth, fault: DeviceFault) -> float:
-    """When the program goes on."""
+    """Time at which the program continues."""
     return _began(truth, fault) + fault.size
 
 
 def _against(truth: Truth) -> float:
-    """Once the command, lagged, has gone up by `plausibility.travel`, and the tip down by 2.5 % of the range."""
+    """Time at which the lagged command has risen by `plausibility.travel`, and the tip fallen by 2.5 % of the range."""
     asked = truth.asked
     used = truth.motion >= 0
     low, high = asked.sensor_deg
@@ -350,7 +344,7 @@ _RULES: Mapping[FaultKind, Callable[[Truth, DeviceFault], float]] = {
 
 
 def silent_s(truth: Truth) -> float:
-    """Longest time without a command on a connection that has had one, until it was closed [s]."""
+    """Longest time without a command after the first one of a connection, until its end [s]."""
     longest = 0.0
     for motion in np.unique(truth.motion[truth.motion >= 0]):
         on = truth.t[truth.motion == motion]
@@ -361,7 +355,7 @@ def silent_s(truth: Truth) -> float:
 
 
 def judged(name: str, device: HostileDevice, asked: Asked, ending: Ending, healthy: bool) -> DeviceVerdict:
-    """The verdict on a device that has been used, and has then been left alone for as long as its watchdog needs."""
+    """Verdict on a device after its use, followed by a wait for its watchdog."""
     truth = Truth.of(device, asked)
     wrong, shows, past = beyond(truth), math.nan if healthy else shows_s(truth), past_deg(truth)
     moved = moved_after(truth, shows) if math.isfinite(shows) else 0.0
@@ -369,7 +363,7 @@ def judged(name: str, device: HostileDevice, asked: Asked, ending: Ending, healt
     last = float(truth.t[at[-1]]) if at.size else math.nan
     slow = any(fault.kind in ("reads_slowly", "writes_slowly") for fault in device.spec.faults)
     wanders = any(fault.kind == "wanders" for fault in device.spec.faults)
-    on_s = last if ending.how == "ended" else math.nan  # it went on to its end, at that time
+    on_s = last if ending.how == "ended" else math.nan  # time of the regular end
     failures = {
         f"raised: {ending.words[:120]}": ending.how == "raised",
         f"{wrong} commands beyond limits or rate": wrong > 0,

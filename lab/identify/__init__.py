@@ -1,1 +1,1 @@
-"""The identification study: devices drawn at random, identified from logs, controlled as identified, against bars."""
+"""Identification study: random devices are identified from logs, controlled, and compared with bars."""

@@ -1,4 +1,4 @@
-"""One drawn device: identified from its logs, controlled as identified, beside tuned rivals; figures of its runs."""
+"""Job of one random device: identification from its logs, control as identified and by tuned rivals, figures."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def scores(
     delay_s: float,
     lag_s: float,
 ) -> dict[str, float]:
-    """Figures of one controller over all motions; only what comes after the approach counts, but for limits and stops.
+    """Figures of one controller over all motions; only samples after the approach count, except for limits and stops.
 
     `rmse_deg` is the root of the mean over motions of the mean square true error, `rmse_deg.MOTION` that of one.
     `hold_samples` are those of holds that have settled, until the command may prepare the next move, which is the delay
@@ -94,7 +94,7 @@ def tracked(
     delay_s: float | None = None,
     sensor: ImagingSettings | NoSensorSettings | None = None,
 ) -> tuple[dict[str, float], list[ClosedLoopRun]]:
-    """Figures of a controller over all motions, `name` before each, and the runs.
+    """Figures of a controller over all motions, with prefix `name`, and the runs.
 
     Args:
         device: whose limits and lag count.
@@ -113,18 +113,17 @@ def tracked(
 
 
 def controller_on(settings: LawSettings, known: ControllerModel, limits: CommandLimits) -> GuardedController[Any]:
-    """A controller with a model: predictor and inverse as its law needs them."""
+    """Controller with a model: predictor and inverse as required by its law."""
     return build_controller(settings, *pair_for(settings, known), limits)
 
 
 @final
 class IdentifiedPlant(ComputedPlant):
-    """A model as the device that it says it is.
+    """Identified model in the role of the device.
 
     Args:
         rest_deg: angle that it rests at before a run, at its lowest command [deg].
         noise_deg: standard deviation of the sensor's white noise [deg].
-        seed: of the noise.
     """
 
     def __init__(self, known: ControllerModel, rest_deg: float, noise_deg: float, seed: int) -> None:
@@ -148,7 +147,7 @@ _TUNING, _COMPARED = 1001, 1  # seeds of the noise, beside the device's
 
 @dataclass(frozen=True, eq=False)
 class DeviceStudy:
-    """What is known of one device when its controllers are built.
+    """Models and data of one device for the construction of its controllers.
 
     Attributes:
         model, rival: the identified model, and the Prandtl-Ishlinskii model that the inverse of the rivals is of.
@@ -200,9 +199,9 @@ def run_device(job: IdentifyJob, settings: IdentifySettings, folder: Path) -> di
 
 
 def found_parts(identified: Identified) -> dict[str, Interval]:
-    """What an identification says of the parts around the hysteresis: value and ends of its 90 % interval, by name.
+    """Identified parts around the hysteresis: value and ends of the 90 % interval, by the names of `DrawnDevice.truth`.
 
-    Names are those of `DrawnDevice.truth`; a part that it did not find is left out.
+    Parts that were not identified are left out.
     """
     parts: dict[str, Interval] = {}
     for row in identified.parts.parameters if identified.parts else ():
@@ -218,7 +217,7 @@ def found_parts(identified: Identified) -> dict[str, Interval]:
 
 
 def identified_as(kind: ModelKind, trials: Sequence[Trial], device: DrawnDevice, seed: int) -> Identified:
-    """A model of a kind, from a device's trials.
+    """Identify a model of a kind from a device's trials.
 
     Raises:
         KeyboardInterrupt: if the user ended it.
@@ -232,7 +231,7 @@ def identified_as(kind: ModelKind, trials: Sequence[Trial], device: DrawnDevice,
 
 
 def opened_model(identified: Identified, stem: Path) -> ControllerModel:
-    """The model written, and opened as a user opens it."""
+    """Write the model, and open its file as a user does."""
     stem.parent.mkdir(parents=True, exist_ok=True)
     file = stem.with_name(stem.name + (".onnx" if identified.simulator is None else ".yaml"))
     if identified.simulator is None:
@@ -243,7 +242,7 @@ def opened_model(identified: Identified, stem: Path) -> ControllerModel:
 
 
 def _model_controllers(study: DeviceStudy) -> dict[str, Controller[Any]]:
-    """The predictive controllers with default settings, the inverse alone, and the one that knows the device."""
+    """Predictive controllers with default settings, the inverse alone, and the one with the exact device."""
     limits = study.device.limits
     return {
         "linearised": controller_on(LinearisedMpcSettings(), study.model, limits),
@@ -254,7 +253,7 @@ def _model_controllers(study: DeviceStudy) -> dict[str, Controller[Any]]:
 
 
 def tuned_rivals(study: DeviceStudy, settings: IdentifySettings) -> dict[str, Controller[Any]]:
-    """PID, and inverse with PID, their gains searched on the very device and motions under another noise."""
+    """PID, and inverse with PID, tuned on the same device and motions under another noise."""
     rivals: dict[str, Controller[Any]] = {}
     starts: dict[str, PidLike] = {"pid": PidControllerSettings(), "inverse_pid": InversePidControllerSettings()}
     for name, start in starts.items():
@@ -270,7 +269,7 @@ def tuned_rivals(study: DeviceStudy, settings: IdentifySettings) -> dict[str, Co
 
 @dataclass(frozen=True, eq=False)
 class _PidCase:
-    """One motion of the search: what of a run does not depend on the gains."""
+    """Part of one motion of the search that does not depend on the gains."""
 
     plant: DrawnPlant
     arrays: tuple[Any, ...]  # wanted, due, feedforward, noise
@@ -300,7 +299,7 @@ class _PidCase:
 
 
 def _as_identified(study: DeviceStudy) -> dict[str, float]:
-    """The default controller and the inverse alone on a plant that is the identified model, with noise."""
+    """Default controller and inverse alone on a plant that is the identified model, with noise."""
     plant = IdentifiedPlant(study.model, study.plant.true_angle, AS_IDENTIFIED_NOISE_DEG, study.device.seed)
     figures: dict[str, float] = {}
     for name, settings in (("linearised", LinearisedMpcSettings()), ("inverse", InverseControllerSettings())):

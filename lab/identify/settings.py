@@ -79,9 +79,9 @@ def at_rest(figures: Figures) -> float:
 
 
 def covered(result: IdentifyResult, part: str) -> bool | None:
-    """Whether what was drawn lies within the 90 % interval; None where nothing was drawn or the model is another one.
+    """Whether the true value lies within the 90 % interval; None without a true value or for another model.
 
-    Lag and delay of a servo are no such numbers: its drive is of second order.
+    Lag and delay of a servo have no true values: its drive is of second order.
     """
     if result.truth[part] == 0 or (part != "creep" and result.facts["servo_damping"]):
         return None
@@ -92,12 +92,12 @@ def covered(result: IdentifyResult, part: str) -> bool | None:
 
 
 def invented(result: IdentifyResult, part: str) -> bool | None:
-    """Whether a part was identified on a device that has none; None where it has one."""
+    """Whether a part was identified on a device without it; None on a device with it."""
     return None if result.truth[part] else part in result.found
 
 
 def bars(outcome: IdentifyOutcome) -> list[Bar]:
-    """All bars; a device whose study failed counts as infinitely bad in ratios."""
+    """All bars of the study; a device with a failed job counts as infinitely bad in ratios."""
     ratios, lost = _values(outcome, over_best), tuple(result.job.key for result in outcome.failed)
     near = {key: ratio <= NEAR_EXACT for key, ratio in _values(outcome, over_exact).items()}
     totals = {r.job.key: sum(r.figures[f"{name}.violations"] for name in CONTROLLERS) for r in outcome.done}
@@ -126,12 +126,12 @@ def _values(outcome: IdentifyOutcome, figure: Callable[[Figures], float]) -> Fig
 def _judged(
     outcome: IdentifyOutcome, part: str, hit: Callable[[IdentifyResult, str], bool | None]
 ) -> Mapping[str, bool]:
-    """The devices that a part is judged on."""
+    """Devices on which a part is judged."""
     return {result.job.key: said for result in outcome.done if (said := hit(result, part)) is not None}
 
 
 def _rest(name: str, results: Sequence[IdentifyResult]) -> Bar:
-    """Share over devices; where the angle creeps, the command has to follow for the tip to stand still."""
+    """Bar on the share of settled hold time at rest; with creep the command must move to keep the tip still."""
     samples = sum(result.figures["linearised.hold_samples"] / float(result.facts["rate_hz"]) for result in results)
     still = sum(result.figures["linearised.rest_samples"] / float(result.facts["rate_hz"]) for result in results)
     restless = tuple(result.job.key for result in results if at_rest(result.figures) < 0.99)

@@ -1,4 +1,4 @@
-"""The study `identify`: drawn devices identified from logs, and controlled as identified; its page."""
+"""Study `identify`: random devices identified from logs, and controlled as identified; its page."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ the device itself as its model. Every RMSE is of the true angle over three fresh
 
 
 def families_table(outcome: IdentifyOutcome) -> StudyTable:
-    """Medians by family."""
+    """Table of medians by family."""
     rows: list[list[Cell]] = []
     for family in (*FAMILIES, None):
         medians = summary(outcome, family)
@@ -61,7 +61,7 @@ def families_table(outcome: IdentifyOutcome) -> StudyTable:
 
 
 def devices_table(outcome: IdentifyOutcome) -> StudyTable:
-    """A row for each device: what was drawn, what was found, and the errors of all controllers."""
+    """Table of true values, identified values, and errors of all controllers, a row for each device."""
     rows: list[list[Cell]] = []
     for r in outcome.done:
         parts: list[Cell] = [cell for part in PARTS for cell in (round(r.truth[part], 4), _interval(r, part))]
@@ -85,7 +85,7 @@ def _interval(result: IdentifyResult, part: str) -> str:
 
 
 def _ratios(outcome: IdentifyOutcome) -> Figure:
-    """RMSE over that of the better tuned rival."""
+    """RMSE divided by that of the better tuned rival."""
     named = ("linearised", "sampling", "exact")
     subjects = (("default MPC", MODEL), ("sampling MPC", MEASURED), ("device known", PALETTE[5]))
     rows: dict[str, list[list[float]]] = {family: [] for family in FAMILIES}
@@ -95,7 +95,7 @@ def _ratios(outcome: IdentifyOutcome) -> Figure:
 
 
 def identify_report(outcome: IdentifyOutcome) -> tuple[Report, list[StudyTable]]:
-    """The page and all tables that are written as CSV."""
+    """Page of the study, and all tables that are written as CSV."""
     judged, families, devices = bars_table(bars(outcome)), families_table(outcome), devices_table(outcome)
     settings = outcome.settings
     facts = {
@@ -127,18 +127,16 @@ _QUICK_S = 5.0
 
 
 def identify_jobs(settings: IdentifySettings, drawn: Sequence[DrawnDevice]) -> tuple[IdentifyJob, ...]:
-    """A job for each device."""
+    """Jobs of the study, one for each device."""
     return tuple(IdentifyJob(d.number, d.key) for d in settings.chosen(drawn))
 
 
 def _inputs(job: IdentifyJob, settings: IdentifySettings, folder: Path) -> dict[str, Any]:
-    """The device's numbers and the settings."""
     del folder
     return {"device": repr(drawn_devices(settings)[job.number]), "settings": settings.model_dump(mode="json")}
 
 
 def _facts(job: IdentifyJob, settings: IdentifySettings) -> dict[str, Any]:
-    """What the device is."""
     device = drawn_devices(settings)[job.number]
     facts: dict[str, str | float] = {
         "family": device.family,

@@ -1,5 +1,5 @@
-"""The papers' studies: every model trained, exported and tested, its tables beside what the papers print.
+"""Studies of the papers: every model is trained, exported and tested, and compared with the papers' tables.
 
 A study is a list of jobs (`job`): each trains one model, exports it and scores it. `s1`, `s2_tables` with `s2_report`,
-and `real` say which jobs a study has and what is shown of their results; `study` holds the three.
+and `real` define the jobs of a study and the display of their results; `study` holds the three.
 """

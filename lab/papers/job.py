@@ -1,4 +1,4 @@
-"""Jobs of a study: a model to be trained, exported and scored; trials, training and results."""
+"""Jobs of a study: model to be trained, exported and scored; trials, training and results."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _QUICK_SAMPLES, _QUICK_S = 600, 5.0  # whichever is longer: a command has to tur
 
 @dataclass(frozen=True)
 class TrainingJob:
-    """A training; with the trials of its `TrainingTask` it determines the result.
+    """Training of one model; with the trials of its `TrainingTask` it determines the result.
 
     Attributes:
         direction: `inverse` swaps command and angle of every trial.
@@ -72,7 +72,7 @@ class TrainingJob:
 
     @property
     def request(self) -> FitRequest:
-        """The job as a kind of model is asked; validation trials are added by the worker."""
+        """Job as a request to a kind of model; validation trials are added by the worker."""
         return FitRequest(
             training=self.preset,
             seed=self.seed,
@@ -84,7 +84,7 @@ class TrainingJob:
 
 @dataclass(frozen=True, eq=False)
 class TrainingTask:
-    """A job with its trials, command to angle whatever the job's direction.
+    """Job with its trials, command to angle whatever the job's direction.
 
     Attributes:
         before: what the one test trial's log holds before it, see `before`.
@@ -108,7 +108,7 @@ class TrainingTask:
 
     @property
     def inputs(self) -> list[Any]:
-        """All that the result depends on: the job's settings and all its trials."""
+        """Inputs that determine the result: the job's settings and all its trials."""
         parts = {"training": self.training, "validation": self.validation} | dict(self.tests)
         parts |= {"before": (self.before,)} if self.before else {}
         hashes = {name: fingerprint(trials) for name, trials in parts.items()}
@@ -117,7 +117,7 @@ class TrainingTask:
 
 
 def preset_for(kind: str, asked: str, paper: str = "paper") -> str:
-    """The preset asked for, or the kind's first where it has none of that name.
+    """Requested preset, or the kind's first preset if it has none of that name.
 
     `paper` is the name of the preset that this study's paper has trained with, taken where `paper` is asked for.
     """
@@ -132,9 +132,9 @@ def betas_for(kind: str, preset: str, settings: PaperSettings) -> tuple[float | 
 
 
 def steps_for(kind: str, preset: str, settings: PaperSettings) -> int | None:
-    """Steps of a training, None for the preset's.
+    """Number of training steps, None for the preset's.
 
-    `epochs_scale` is for networks with a paper's preset; `quick` cuts everything that counts its steps.
+    `epochs_scale` applies to networks with a paper's preset; `quick` reduces all step counts.
     """
     steps = kind_named(kind).steps(FitRequest(training=preset))
     if steps is None:
@@ -182,7 +182,7 @@ def _parts(trial: Trial, count: int) -> list[Trial]:
 
 
 def before(trial: Trial, logs: Sequence[Trial], parts: int) -> Trial | None:
-    """What was recorded before a trial that is one of several parts of a log; None before the first part."""
+    """Recording before a trial that is one of several parts of a log; None before the first part."""
     at = next(k for k, log in enumerate(logs) if log is trial)
     earlier = logs[at - at % parts : at]
     if not earlier:
@@ -192,7 +192,6 @@ def before(trial: Trial, logs: Sequence[Trial], parts: int) -> Trial | None:
 
 
 def _shortened(split: str, trials: tuple[Trial, ...]) -> tuple[Trial, ...]:
-    """A few trials of their first samples."""
     part = split.rpartition("/")[2]
     count = _QUICK_TRIALS.get(part, len(trials) if part != LOGS else 3)
     return tuple(trial.select(0, max(_QUICK_SAMPLES, round(_QUICK_S / trial.dt))) for trial in trials[:count])
@@ -200,7 +199,7 @@ def _shortened(split: str, trials: tuple[Trial, ...]) -> tuple[Trial, ...]:
 
 @dataclass(frozen=True)
 class Score:
-    """A model's free run over one trial.
+    """Errors of a model's free run over one trial.
 
     Attributes:
         errors: over the whole trial; in mm or bar for an inverse map.
@@ -246,11 +245,11 @@ def model_file(folder: Path, job: TrainingJob) -> Path:
 
 @dataclass(frozen=True, eq=False)
 class PaperOutcome(Outcome[PaperSettings, JobResult]):
-    """A study with the results of all its jobs; what was drawn are the trials by split."""
+    """Study with the results of all its jobs; the trials are given by split."""
 
     @property
     def presets(self) -> tuple[str, ...]:
-        """Presets that models were trained with, in order."""
+        """Presets of the trained models, in order."""
         return tuple(dict.fromkeys(result.job.preset for result in self.results))
 
     @property
@@ -260,11 +259,11 @@ class PaperOutcome(Outcome[PaperSettings, JobResult]):
         return (*(k for k in self.settings.kinds if k in here), *sorted(here - set(self.settings.kinds)))
 
     def matching(self, **wanted: object) -> tuple[JobResult, ...]:
-        """Done jobs whose settings are these, such as `kind="lstm", direction="forward"`."""
+        """Complete jobs with these settings, such as `kind="lstm", direction="forward"`."""
         return tuple(r for r in self.done if all(getattr(r.job, name) == value for name, value in wanted.items()))
 
     def better(self, splits: Sequence[str], **wanted: object) -> JobResult | None:
-        """Of the matching jobs, which differ in beta, the one with the lowest mean RMSE over the trials of some splits.
+        """Of matching jobs with different beta, the one with the lowest mean RMSE over the trials of some splits.
 
         This is the paper's rule ("the model with lowest error is reported"): it chooses by test trials.
         """
@@ -272,18 +271,18 @@ class PaperOutcome(Outcome[PaperSettings, JobResult]):
         return min(candidates, key=lambda r: float(np.mean(r.figures("rmse_deg", splits))), default=None)
 
     def model(self, job: TrainingJob) -> OnnxModel:
-        """The model that a job left."""
+        """Model of a job, read from its file."""
         return load_onnx(model_file(self.folder, job))
 
     def free_run(self, job: TrainingJob, trial: Trial) -> TrialEvaluation:
-        """Free run of a job's model over a trial, swapped by itself for an inverse map."""
+        """Free run of a job's model over a trial, swapped automatically for an inverse map."""
         logs = self.drawn.get(LOGS)
         earlier = before(trial, logs, self.settings.parts) if logs else None
         return evaluate(self.model(job), trial, before=earlier)
 
 
 def title_of(kind: str) -> str:
-    """A kind's name in tables."""
+    """Name of a kind in tables."""
     return kind_named(kind).title
 
 
@@ -313,7 +312,7 @@ def fit_with_window(kind: str, trials: Sequence[Trial], request: FitRequest, win
 
 
 def windowed(settings: NetworkSettings, window: int) -> NetworkSettings:
-    """The settings with a history buffer of another length for a feed-forward network, else with other windows."""
+    """Settings with a history buffer of another length for a feed-forward network, else with other windows."""
     data = settings.model_dump()
     if isinstance(settings.network, FeedForwardSettings):
         data["network"]["history"] = window
@@ -323,7 +322,7 @@ def windowed(settings: NetworkSettings, window: int) -> NetworkSettings:
 
 
 def run_task(task: TrainingTask, settings: PaperSettings, folder: Path) -> dict[str, Any]:
-    """Train, export into `folder`/models, score on every test trial; the fields of a `JobResult`."""
+    """Train, export into `folder`/models, score on every test trial; return the fields of a `JobResult`."""
     del settings  # the task holds all of them
     made, scores = _trained(task, folder)
     history = tuple((int(step), float(error)) for step, error in made.history if math.isfinite(error))
@@ -341,7 +340,6 @@ def _trained(task: TrainingTask, folder: Path) -> tuple[Identified, tuple[Score,
 
 
 def _numbers(identified: Identified) -> int:
-    """Numbers that a model holds."""
     if identified.simulator is not None:
         return int(identified.simulator.chain.values.size)
     graph = identified.bundle.graph() if callable(identified.bundle.graph) else identified.bundle.graph
@@ -358,7 +356,7 @@ def _identified(task: TrainingTask) -> Identified:
 
 
 def directed(trials: Iterable[Trial], direction: str) -> tuple[Trial, ...]:
-    """The trials as a kind of model is given them: swapped for an inverse map."""
+    """Trials in a kind's direction: swapped for an inverse map."""
     return tuple(trial.swapped() if direction == "inverse" else trial for trial in trials)
 
 
@@ -375,7 +373,7 @@ def _scores(model: OnnxModel, task: TrainingTask) -> Iterable[Score]:
 
 
 def estimated_seconds(tasks: Sequence[TrainingTask], settings: PaperSettings) -> dict[str, float]:
-    """Processor time by key of the job that each is expected to take on this machine as it is loaded now [s].
+    """Expected processor time by key of the job on this machine under its present load [s].
 
     Jobs of one kind, preset and constancy term on about as many samples are timed once; a quick study goes by the
     samples alone.

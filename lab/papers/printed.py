@@ -1,4 +1,4 @@
-"""Numbers that the two papers print of their models, and the common parts of the pages of the studies.
+"""Numbers printed in the two papers on their models, and the common parts of the pages of the studies.
 
 No computation uses these numbers. Marks: [P] printed in the paper, [C] recovered from the authors' published code, [I]
 inferred from the paper's text.
@@ -41,8 +41,8 @@ _SIN: Final[dict[str, dict[str, str]]] = {
     "hb1": {"lstm": ">/>", "gru": ">/>"},
     "hb2": {"fnn": "</<", "lstm": "~/~", "gru": "~/~", "fnn_hib": "</<", "hb1": "</<"},
 }
-# Order of the models by mean error, least first, as S2's conclusion has it; those in one group are not told apart.
-# Of point-to-point motions it does not place the GRU.
+# Order of the models by mean error, least first, in S2's conclusion; models in one group are not distinguished.
+# For point-to-point motions the GRU is not ranked.
 S2_ORDER: Final = {
     "p2p": (("hb2",), ("lstm", "hb1"), ("backlash",), ("pi", "fnn_hib"), ("fnn",)),
     "sin": (("lstm", "gru", "hb2"), ("fnn_hib", "hb1"), ("backlash", "pi"), ("fnn",)),
@@ -51,7 +51,7 @@ S2_ORDER: Final = {
 
 @dataclass(frozen=True)
 class Printed:
-    """A number or sign of a paper.
+    """Number or sign of a paper.
 
     Attributes:
         mark: how it is known.
@@ -67,7 +67,7 @@ class Printed:
         return f"{'> ' if self.above else ''}{text} [{self.mark}]"
 
 
-# S2 Fig. 8 as told in its text: (motion, direction, kind) to error relative to the FNN's, mean and maximum [%].
+# S2 Fig. 8 by its text: (motion, direction, kind) to error relative to the FNN's, mean and maximum [%].
 S2_RELATIVE: Final[dict[tuple[str, str, str], tuple[Printed, Printed]]] = {
     ("sin", "forward", "lstm"): (Printed(17), Printed(23)),
     ("sin", "inverse", "lstm"): (Printed(23), Printed(66)),
@@ -81,7 +81,7 @@ S2_FNN_BIAS_DEG: Final = {"sin": Printed(2.5), "p2p": Printed(2.25)}
 
 
 def s2_symbol(motion: str, direction: str, row: str, column: str) -> Printed | None:
-    """Sign of S2 Table I, None where it is not known."""
+    """Sign of S2 Table I, None if unknown."""
     both = {"p2p": _P2P, "sin": _SIN}[motion].get(row, {}).get(column)
     if both is None:
         return None
@@ -136,7 +136,7 @@ S1_ERRORS: Final[dict[str, dict[str, tuple[Printed, Printed, Printed]]]] = {
 
 @dataclass(frozen=True)
 class PrintedTraining:
-    """A row of S1 Table IV.
+    """Row of S1 Table IV.
 
     Attributes:
         loss: training loss; the paper's header says deg^2 for all.
@@ -167,7 +167,7 @@ SOURCES = {
 
 
 def label(study: str) -> str:
-    """`simulated` or `real`: stands at every table and figure."""
+    """Label `simulated` or `real` of every table and figure."""
     return SOURCES[study].partition(":")[0]
 
 
@@ -189,7 +189,7 @@ def paper_set_up(outcome: PaperOutcome) -> Iterator[Piece]:
 
 
 def training_note(settings: PaperSettings) -> str:
-    """Share of the papers' training that was done, in words."""
+    """Completed share of the papers' training, in words."""
     if settings.quick:
         return (
             "QUICK: a hundredth of the training on a few shortened trials. The numbers below show that everything "
@@ -204,7 +204,7 @@ def training_note(settings: PaperSettings) -> str:
 
 
 def jobs_table(outcome: PaperOutcome) -> StudyTable:
-    """A row for every job, failed ones included."""
+    """Table of every job, failed ones included."""
     rows: list[list[Cell]] = []
     for result in outcome.results:
         job = result.job

@@ -1,4 +1,4 @@
-"""The study on recorded logs: every log is tested by models that have not seen it; several devices side by side."""
+"""Study on recorded logs: every log is tested by models trained without it; comparison of several devices."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ _SHOWN = 2  # of the best models beside the backlash
 def real_tasks(settings: PaperSettings, splits: Splits) -> tuple[TrainingTask, ...]:
     """Leave-one-trial-out over the logs, for every kind, preset and direction; training skips the first flexure.
 
-    The backlash is always among the kinds: the others are measured against it.
+    The backlash is always among the kinds, as the baseline of the comparison.
     """
     names = [kind for kind in settings.kinds if kind not in settings.left_out]
     kinds = dict.fromkeys([BASELINE, *names])
@@ -78,7 +78,7 @@ def real_tasks(settings: PaperSettings, splits: Splits) -> tuple[TrainingTask, .
 
 @dataclass(frozen=True, eq=False)
 class RealCandidate:
-    """One kind, preset and beta with a score for every log.
+    """Kind, preset and beta with a score for every log.
 
     Attributes:
         results: one for each log that is left out, in the order of the logs.
@@ -91,13 +91,13 @@ class RealCandidate:
 
     @property
     def name(self) -> str:
-        """For tables."""
+        """Name in tables."""
         beta = "" if self.beta is None else f", beta {self.beta:g}"
         return f"{title_of(self.kind)} ({self.preset}{beta})"
 
     @property
     def scores(self) -> tuple[Score, ...]:
-        """One for each log."""
+        """Scores, one for each log."""
         return tuple(score for result in self.results for score in result.scores)
 
     def figures(self, name: str, count: str) -> Vec:
@@ -110,7 +110,7 @@ def _counted(score: Score, count: str) -> Errors:
 
 
 def candidates(outcome: PaperOutcome, direction: str) -> tuple[tuple[RealCandidate, ...], tuple[RealCandidate, ...]]:
-    """Those with a score for every log, and those that lack some, which are not compared."""
+    """Candidates with a score for every log, and incomplete ones, which are not compared."""
     groups: dict[tuple[str, str, float | None], list[JobResult]] = {}
     for result in outcome.results:
         if result.job.direction == direction:
@@ -125,13 +125,13 @@ def candidates(outcome: PaperOutcome, direction: str) -> tuple[tuple[RealCandida
 
 
 def baseline_of(found: Sequence[RealCandidate]) -> RealCandidate | None:
-    """The 4-parameter backlash that the others are measured against: of its presets the one with the lowest error."""
+    """Baseline: the 4-parameter backlash with the preset of the lowest error."""
     own = [candidate for candidate in found if candidate.kind == BASELINE]
     return min(own, key=lambda c: float(np.mean(c.figures("offset_free_rmse_deg", "later"))), default=None)
 
 
 def errors_table(found: Sequence[RealCandidate], direction: str, unit: str, count: str) -> StudyTable:
-    """Means over the logs, best model first."""
+    """Table of means over the logs, best model first."""
     base = baseline_of(found)
     names = ("offset_free_rmse_deg", "rmse_deg", "max_abs_error_deg", "nrmse", "hold_drift_deg")
     rows: list[list[Cell]] = []
@@ -151,7 +151,7 @@ def errors_table(found: Sequence[RealCandidate], direction: str, unit: str, coun
 
 
 def trials_table(found: Sequence[RealCandidate], direction: str, unit: str, count: str) -> StudyTable:
-    """Offset-free RMSE of every model on every log."""
+    """Table of the offset-free RMSE of every model on every log."""
     logs = [Path(score.trial).name for score in found[0].scores] if found else []
     rows: list[list[Cell]] = [[c.name, *map(float, c.figures("offset_free_rmse_deg", count))] for c in found]
     caption = f"Real logs, {direction} map, {COUNTS[count]}: offset-free RMSE [{unit}] of every trial."
@@ -159,7 +159,7 @@ def trials_table(found: Sequence[RealCandidate], direction: str, unit: str, coun
 
 
 def signed_rank_table(found: Sequence[RealCandidate], direction: str, count: str) -> StudyTable | None:
-    """Every model against the backlash by Wilcoxon's signed-rank test over the trials; None without both."""
+    """Table of Wilcoxon's signed-rank tests of every model against the backlash; None without both."""
     base = baseline_of(found)
     if base is None or len(found) < len((base, "another")):
         return None
@@ -180,7 +180,7 @@ def signed_rank_table(found: Sequence[RealCandidate], direction: str, count: str
 
 
 def presets_table(found: Sequence[RealCandidate], direction: str, unit: str) -> StudyTable | None:
-    """For every kind the presets side by side; None where each has but one."""
+    """Table of all presets for every kind; None if each has only one."""
     presets = tuple(dict.fromkeys(c.preset for c in found))
     means = {(c.kind, c.preset): float(np.mean(c.figures("offset_free_rmse_deg", "later"))) for c in found}
     rows: list[list[Cell]] = []
@@ -195,7 +195,7 @@ def presets_table(found: Sequence[RealCandidate], direction: str, unit: str) -> 
 
 
 def real_report(outcome: PaperOutcome) -> tuple[Report, list[StudyTable]]:
-    """The page and all tables that are written as CSV."""
+    """Page of the study, and all tables that are written as CSV."""
     pieces = [piece for direction in outcome.settings.directions for piece in _direction(outcome, direction)]
     tables = [piece for piece in pieces if isinstance(piece, StudyTable)]
     shown = [piece.piece if isinstance(piece, StudyTable) else piece for piece in pieces]
@@ -234,7 +234,7 @@ def _direction(outcome: PaperOutcome, direction: str) -> Iterator[Piece | StudyT
 
 
 def examples_figure(outcome: PaperOutcome, found: Sequence[RealCandidate], unit: str) -> Figure:
-    """Error over time on every log, of the backlash and the best models; each has not seen the log."""
+    """Plot of the error over time on every held-out log, of the backlash and the best models."""
     base = baseline_of(found)
     ranked = sorted(found, key=lambda c: float(np.mean(c.figures("offset_free_rmse_deg", "later"))))
     best = {c.kind: c for c in reversed(ranked) if base is None or c.kind != base.kind}
@@ -299,7 +299,7 @@ def device_settings(file: Path, **changes: Any) -> dict[str, PaperSettings]:
 
 
 def kinds_report(outcomes: Mapping[str, PaperOutcome]) -> tuple[Report, list[StudyTable]]:
-    """The page and all tables that are written as CSV."""
+    """Page of the comparison of kinds, and all tables that are written as CSV."""
     found = {name: candidates(outcome, "forward")[0] for name, outcome in outcomes.items()}
     tables = [kinds_errors_table(found), drift_table(found), cost_table(found)]
     failed = [f"{name}: {r.job.kind}: {r.message}" for name, o in outcomes.items() for r in o.failed]
@@ -313,18 +313,18 @@ Found = Mapping[str, Sequence[RealCandidate]]
 
 
 def error_percent(candidate: RealCandidate) -> float:
-    """Offset-free RMSE, mean over the logs that were left out [% of the range of each]."""
+    """Offset-free RMSE, mean over the held-out logs [% of the range of each]."""
     return float(np.mean(_of_range(candidate, "offset_free_rmse_deg")))
 
 
 def _of_range(candidate: RealCandidate, name: str) -> list[float]:
-    """A figure of every log in per cent of its measured range; the RMSE over the range is known."""
+    """Figure of every log in percent of its measured range; the RMSE relative to the range is known."""
     rmse, share = (candidate.figures(figure, "later") for figure in ("rmse_deg", "nrmse"))
     return np.divide(100 * candidate.figures(name, "later") * share, rmse, where=rmse > 0, out=0 * rmse).tolist()
 
 
 def ratios(found: Found) -> dict[str, dict[str, float]]:
-    """By kind and device: error over that of the best kind on that device."""
+    """Error divided by that of the best kind on the same device, by kind and device."""
     kinds = dict.fromkeys(candidate.kind for own in found.values() for candidate in own)
     errors = {name: {c.kind: error_percent(c) for c in own} for name, own in found.items()}
     return {
@@ -334,7 +334,7 @@ def ratios(found: Found) -> dict[str, dict[str, float]]:
 
 
 def ranked(found: Found) -> list[tuple[str, float, float]]:
-    """Kinds, those that fit more devices first, then by the mean ratio (geometric): name, mean and worst ratio."""
+    """Ranking of kinds by number of fitted devices, then by mean ratio (geometric): name, mean and worst ratio."""
     own = ratios(found)
     means = {kind: math.exp(float(np.mean(np.log(list(of.values()))))) for kind, of in own.items()}
     order = sorted(own, key=lambda kind: (-len(own[kind]), means[kind]))
@@ -342,7 +342,7 @@ def ranked(found: Found) -> list[tuple[str, float, float]]:
 
 
 def try_first(found: Found) -> str:
-    """Which kind to try first, in one sentence."""
+    """Recommended first kind, in one sentence."""
     if not any(found.values()):
         return "No kind could be fitted."
     (kind, mean, worst), devices = ranked(found)[0], len(found)
@@ -353,7 +353,7 @@ def try_first(found: Found) -> str:
 
 
 def kinds_errors_table(found: Found) -> StudyTable:
-    """Kinds by devices."""
+    """Table of errors, kinds by devices."""
     rows: list[list[Cell]] = [
         [kind, *_cells(found, kind, error_percent), mean, worst] for kind, mean, worst in ranked(found)
     ]
@@ -367,7 +367,7 @@ def kinds_errors_table(found: Found) -> StudyTable:
 
 
 def drift_table(found: Found) -> StudyTable:
-    """Movement of each kind's output while the command rests."""
+    """Table of each kind's output drift while the command rests."""
     rows: list[list[Cell]] = [
         [kind, *_cells(found, kind, lambda c: max(_of_range(c, "hold_drift_deg")))] for kind, _, _ in ranked(found)
     ]
@@ -379,7 +379,7 @@ def drift_table(found: Found) -> StudyTable:
 
 
 def cost_table(found: Found) -> StudyTable:
-    """Time to fit and size of each kind."""
+    """Table of fit time and size of each kind."""
     rows: list[list[Cell]] = []
     for kind, _, _ in ranked(found):
         seconds = _cells(found, kind, lambda c: float(np.median([r.seconds for r in c.results])))
@@ -390,7 +390,7 @@ def cost_table(found: Found) -> StudyTable:
 
 
 def _cells(found: Found, kind: str, value: Any) -> list[Cell]:
-    """A cell for each device; of several presets the one with the lowest error."""
+    """Table cells, one for each device; of several presets the one with the lowest error."""
     cells: list[Cell] = []
     for own in found.values():
         best = min((c for c in own if c.kind == kind), key=error_percent, default=None)

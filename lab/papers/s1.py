@@ -1,4 +1,4 @@
-"""The study of S1: jobs, Tables III and IV, Figures 4 and 5, the reconstruction, and the page."""
+"""Study of S1: jobs, Tables III and IV, Figures 4 and 5, the reconstruction, and the page."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ _LINE: Any = {"linewidth": 0.9}
 
 
 def s1_tasks(settings: PaperSettings, splits: Splits) -> tuple[TrainingTask, ...]:
-    """Every model on the eight training groups, tested on (a) to (d).
+    """Tasks of every model on the eight training groups, tested on (a) to (d).
 
     Networks are trained with their preset `s1` where `paper` is asked for. S1 knows no constant-in, constant-out term.
     """
@@ -99,7 +99,7 @@ def errors_table(outcome: PaperOutcome) -> StudyTable:
 
 
 def inverse_table(outcome: PaperOutcome) -> StudyTable | None:
-    """Errors of inverse maps, of which the paper has none; None where none was trained."""
+    """Table of the errors of inverse maps, which the paper does not contain; None without such maps."""
     rows: list[list[Cell]] = []
     for result in outcome.matching(direction="inverse"):
         for test, name in TESTS.items():
@@ -131,7 +131,7 @@ def improvement_table(outcome: PaperOutcome) -> StudyTable | None:
 
 
 def training_table(outcome: PaperOutcome) -> StudyTable:
-    """Table IV: iterations, loss and how much it still changed."""
+    """Table IV: iterations, loss and its final relative change."""
     half = float(S1_HALF_RANGE_DEG.value)
     rows: list[list[Cell]] = []
     for result in outcome.matching(direction="forward"):
@@ -158,7 +158,7 @@ def training_table(outcome: PaperOutcome) -> StudyTable:
 
 
 def relative_change(result: JobResult) -> float:
-    """Mean of |L_k - L_(k-1)| / L_(k-1) over the looks of the last tenth of the steps; not-a-number below two looks.
+    """Mean of |L_k - L_(k-1)| / L_(k-1) over the records of the last tenth of the steps; NaN below two records.
 
     Source: S1 Table IV.
     """
@@ -175,7 +175,7 @@ def relative_change(result: JobResult) -> float:
 
 
 def scan_study(outcome: PaperOutcome, preset_of: dict[str, str]) -> Reconstruction | None:
-    """Scan the cap with the simulated catheter and draw it from every forward model's angle; None without a model."""
+    """Scan of the cap with the simulated catheter, reconstructed by every forward model; None without a model."""
     jobs = {
         title_of(kind): found[0].job
         for kind, preset in preset_of.items()
@@ -204,7 +204,7 @@ def scan_study(outcome: PaperOutcome, preset_of: dict[str, str]) -> Reconstructi
 
 
 def _device(seed: int, dt_s: float) -> Device:
-    """The simulated catheter of S1 with its laser: another specimen than those of the training groups."""
+    """Simulated catheter of S1 with its laser: another specimen than those of the training groups."""
     from ..devices.muscle import MuscleCatheter, MuscleRecorder
     from ..devices.recorder import generator
 
@@ -256,7 +256,7 @@ def tracking_figure(outcome: PaperOutcome, results: tuple[JobResult, ...]) -> Fi
 
 
 def s1_report(outcome: PaperOutcome) -> tuple[Report, list[StudyTable]]:
-    """The page and all tables that are written as CSV."""
+    """Page of the study, and all tables that are written as CSV."""
     found = (errors_table(outcome), improvement_table(outcome), inverse_table(outcome), training_table(outcome))
     tables = [table for table in found if table is not None]
     scans, scan_tables = _reconstruction(outcome)
@@ -276,7 +276,7 @@ def s1_report(outcome: PaperOutcome) -> tuple[Report, list[StudyTable]]:
 
 
 def long_table(outcome: PaperOutcome) -> StudyTable:
-    """Every figure of every job on every test; CSV only."""
+    """Table of every figure of every job on every test, for CSV only."""
     rows = [
         [r.job.kind, r.job.preset, r.job.direction, s.split, s.trial, *vars(s.errors).values()]
         for r in outcome.done
@@ -297,7 +297,7 @@ def _figures(outcome: PaperOutcome) -> Iterator[Piece]:
 
 
 def _reconstruction(outcome: PaperOutcome) -> tuple[list[Piece], list[StudyTable]]:
-    """The scanning experiment; what it raises is said in its place."""
+    """Pieces of the scanning experiment, or its error message."""
     if "reconstruction" not in outcome.settings.stages:
         return [], []
     presets: dict[str, str] = {}

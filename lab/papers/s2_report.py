@@ -1,4 +1,4 @@
-"""The page of the study of S2 with its figures: the device (5, 6), training motion (7), errors (8), examples (9)."""
+"""Page of the study of S2 with figures: device (5, 6), training motion (7), errors (8), examples (9)."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def _bars(axes: Axes, view: Matched) -> None:
 
 
 def training_motion_figure(outcome: PaperOutcome, preset: str, kind: str = "lstm") -> Figure | None:
-    """Figure 7: a network trained on either motion, on a trial of each; None if one of them is missing."""
+    """Figure 7: a network trained on each motion, on a trial of each; None if one of them is missing."""
     models = {motion: _trained_on(outcome, motion, preset, kind) for motion in MOTIONS}
     found = {MOTION_NAMES[motion]: result for motion, result in models.items() if result is not None}
     if len(found) < len(MOTIONS):
@@ -113,7 +113,7 @@ def _trained_on(outcome: PaperOutcome, motion: str, preset: str, kind: str) -> J
 
 
 def median_trial(outcome: PaperOutcome, motion: str, judge: JobResult) -> Trial:
-    """The test trial on which the judge's error is the median: neither the best nor the worst example."""
+    """Test trial with the median error of the judge, as a typical example."""
     split = split_tested_on(motion)
     order = np.argsort(judge.figures("rmse_deg", [split]), kind="stable")
     return outcome.drawn[split][int(order[len(order) // 2])]
@@ -196,7 +196,7 @@ class TipMapping:
 
 
 def tip_mapping(splits: Splits, motion: str = "p2p") -> TipMapping | None:
-    """Fit both maps on the training trials and run them over the test trials; None where trials have no Y."""
+    """Fit both maps on the training trials and run them over the test trials; None if trials have no Y."""
     training, tests = splits[f"{motion}/train"], splits[f"{motion}/test"]
     if any(TIP_Y not in trial.channels for trial in (*training, *tests)):
         return None
@@ -237,7 +237,7 @@ def _y(trial: Trial) -> Vec:
 
 
 def _as_y(trial: Trial) -> Trial:
-    """The trial with Y in the place of the angle: what the direct map is fitted to."""
+    """Trial with Y in place of the angle, for the fit of the direct map."""
     return Trial(trial.t, trial.command, _y(trial), {}, trial.units, trial.source)
 
 
@@ -259,7 +259,7 @@ _FIGURE_9 = ("fnn", "hb2", "fnn_hib")
 
 
 def s2_report(outcome: PaperOutcome) -> tuple[Report, list[StudyTable]]:
-    """The page and all tables that are written as CSV."""
+    """Page of the study, and all tables that are written as CSV."""
     views = matched(outcome)
     sections = [*_overview(outcome, views), *_device(outcome), *_training(outcome), *_details(views)]
     pieces = [piece.piece if isinstance(piece, StudyTable) else piece for piece in sections if _is_shown(piece)]
@@ -277,7 +277,7 @@ def _is_shown(piece: Piece | StudyTable) -> bool:
 
 
 def _overview(outcome: PaperOutcome, views: list[Matched]) -> Iterator[Piece | StudyTable]:
-    """Figure 8 and Table I."""
+    """Pieces of Figure 8 and Table I."""
     yield Heading("Errors by model (Figure 8)")
     for preset in outcome.presets:
         here = [view for view in views if view.preset == preset]
@@ -302,7 +302,7 @@ def _overview(outcome: PaperOutcome, views: list[Matched]) -> Iterator[Piece | S
 
 
 def _bias(views: list[Matched]) -> Iterator[Piece]:
-    """Size of the loop as the FNN leaves it."""
+    """Piece on the loop's size in the errors of the FNN."""
     for view in views:
         if view.direction == "forward" and BASELINE in view.results:
             up, down = branch_bias(view)
@@ -325,7 +325,7 @@ def branch_bias(view: Matched) -> tuple[float, float]:
 
 
 def _device(outcome: PaperOutcome) -> Iterator[Piece | StudyTable]:
-    """Figures 5 and 6."""
+    """Pieces of Figures 5 and 6."""
     loops = hysteresis_figure(outcome.drawn)
     if loops is not None:
         yield Heading("Hysteresis of the device (Figure 5)")
@@ -351,7 +351,7 @@ def _device(outcome: PaperOutcome) -> Iterator[Piece | StudyTable]:
 
 
 def _training(outcome: PaperOutcome) -> Iterator[Piece | StudyTable]:
-    """Figure 7, the cross table and the window study."""
+    """Pieces of Figure 7, the cross table and the window study."""
     yield Heading("Training motion against test motion (Figure 7)")
     for preset in outcome.presets:
         figure = training_motion_figure(outcome, preset)
@@ -370,7 +370,7 @@ def _training(outcome: PaperOutcome) -> Iterator[Piece | StudyTable]:
 
 
 def _details(views: list[Matched]) -> Iterator[Piece | StudyTable]:
-    """Figure 9, then every table."""
+    """Pieces of Figure 9 and of every table."""
     for preset in dict.fromkeys(view.preset for view in views):
         here = {view.direction: view for view in views if view.preset == preset and view.motion == "p2p"}
         figure = example_figure(here, _FIGURE_9) if here else None

@@ -1,4 +1,4 @@
-"""Jobs and tables of the study of S2: errors by model, signed-rank tests (Table I), training motions and windows."""
+"""Jobs and tables of the study of S2: errors by model, signed-rank tests (Table I), training motions, windows."""
 
 from __future__ import annotations
 
@@ -36,14 +36,15 @@ BASELINE = "fnn"
 
 
 def split_tested_on(motion: str) -> str:
-    """Split that a motion is tested on."""
+    """Test split of a motion."""
     return f"{motion}/test"
 
 
 def s2_tasks(settings: PaperSettings, splits: Splits) -> tuple[TrainingTask, ...]:
-    """Every model on each motion (`main`), on both together (`cross`), and with other windows (`window`).
+    """Tasks of every model on each motion (`main`), on both (`cross`), and with other windows (`window`).
 
-    Everything is tested on both motions. Mixed training has the last beta alone: what it is for, holds, is in the data.
+    Everything is tested on both motions. Mixed training has only the last beta, since the data contain the holds that
+    the term is for.
     """
     jobs: list[TrainingJob] = []
     if "main" in settings.stages:
@@ -67,7 +68,7 @@ def _jobs(settings: PaperSettings, stage: str, train: str, betas: PaperSettings)
 
 
 def _window_jobs(settings: PaperSettings) -> Iterator[TrainingJob]:
-    """Forward, sinusoids, beta 0: as the published code's numbers are."""
+    """Forward jobs on sinusoids with beta 0, for comparison with numbers of the published code."""
     for kind, windows in WINDOWS.items():
         if kind in settings.kinds and kind not in settings.left_out:
             steps = steps_for(kind, "paper", settings)
@@ -86,7 +87,7 @@ def _task(job: TrainingJob, splits: Splits) -> TrainingTask:
 
 @dataclass(frozen=True, eq=False)
 class Matched:
-    """The models that were trained and tested on one motion, in one direction, with one preset."""
+    """Models trained and tested on one motion, in one direction, with one preset."""
 
     outcome: PaperOutcome
     motion: str
@@ -95,18 +96,18 @@ class Matched:
 
     @cached_property
     def results(self) -> dict[str, JobResult]:
-        """The better of both betas, by kind."""
+        """Results with the better beta, by kind."""
         wanted = {"stage": "main", "direction": self.direction, "preset": self.preset, "train": self.motion}
         split = [split_tested_on(self.motion)]
         found = {kind: self.outcome.better(split, kind=kind, **wanted) for kind in self.outcome.kinds}
         return {kind: result for kind, result in found.items() if result is not None}
 
     def errors(self, kind: str, name: str = "rmse_deg") -> Vec:
-        """One figure a test trial (N,)."""
+        """Figure of every test trial (N,)."""
         return self.results[kind].figures(name, [split_tested_on(self.motion)])
 
     def other_betas(self, kind: str) -> str:
-        """Mean RMSE of the models that were not chosen, as text."""
+        """Mean RMSE of the models with the worse beta, as text."""
         chosen, split = self.results[kind], [split_tested_on(self.motion)]
         wanted = {"stage": "main", "kind": kind, "direction": self.direction, "preset": self.preset}
         others = [r for r in self.outcome.matching(train=self.motion, **wanted) if r is not chosen]
@@ -125,12 +126,12 @@ class Matched:
 
     @property
     def where(self) -> str:
-        """For captions."""
+        """Text of the combination for captions."""
         return f"{self.direction} map, {MOTION_NAMES[self.motion]}, preset {self.preset}"
 
 
 def matched(outcome: PaperOutcome) -> list[Matched]:
-    """Every combination that has results."""
+    """All combinations that have results."""
     views = [
         Matched(outcome, motion, direction, preset)
         for preset in outcome.presets
@@ -144,7 +145,7 @@ _CATALOGUE = frozenset(kind_names())
 
 
 def errors_table(view: Matched) -> StudyTable:
-    """Mean, spread and greatest of the errors, a row a model."""
+    """Table of mean, spread and maximum of the errors, a row a model."""
     unit = UNITS[view.direction]
     rows: list[list[Cell]] = []
     for kind, result in view.results.items():
@@ -167,7 +168,7 @@ def errors_table(view: Matched) -> StudyTable:
 
 
 def trials_table(view: Matched) -> StudyTable:
-    """RMSE / max abs / NRMSE of every model on every test trial."""
+    """Table of RMSE / max abs / NRMSE of every model on every test trial."""
     split = split_tested_on(view.motion)
     names = [score.trial for score in next(iter(view.results.values())).of_split(split)]
     figures = {
@@ -183,7 +184,7 @@ def trials_table(view: Matched) -> StudyTable:
 
 
 def relative_table(view: Matched) -> StudyTable | None:
-    """Figure 8 in numbers: errors in per cent of the FNN's; None without an FNN."""
+    """Figure 8 in numbers: errors in percent of the FNN's; None without an FNN."""
     if BASELINE not in view.results:
         return None
     rows: list[list[Cell]] = []
@@ -209,7 +210,7 @@ def relative_to_baseline(view: Matched, kind: str) -> tuple[float, float]:
 
 
 def order_table(view: Matched) -> StudyTable:
-    """Models in ascending order of mean RMSE, and the order of the paper."""
+    """Table of the models in ascending order of mean RMSE, and the order of the paper."""
     ours = sorted(view.results, key=lambda kind: float(np.mean(view.errors(kind))))
     paper = " < ".join(", ".join(map(_title, group)) for group in S2_ORDER[view.motion])
     rows = [["simulated", " < ".join(map(title_of, ours))], ["paper, from its conclusions [P]", paper]]
@@ -221,7 +222,7 @@ def order_table(view: Matched) -> StudyTable:
 
 
 def _title(kind: str) -> str:
-    """Name of a kind in tables; the kind itself where the catalogue does not hold it."""
+    """Name of a kind in tables; the kind itself if the catalogue does not hold it."""
     return title_of(kind) if kind in _CATALOGUE else kind
 
 
@@ -232,7 +233,7 @@ def _difference(ours: float, paper: Printed | None) -> Cell:
 
 
 def long_table(outcome: PaperOutcome) -> StudyTable:
-    """Every figure of every job on every trial; CSV only."""
+    """Table of every figure of every job on every trial, for CSV only."""
     rows: list[Sequence[Cell]] = []
     for result in outcome.done:
         job = result.job
@@ -244,7 +245,7 @@ def long_table(outcome: PaperOutcome) -> StudyTable:
 
 
 def wilcoxon_table(view: Matched) -> StudyTable | None:
-    """Table I: signed-rank tests of every pair beside the paper's symbols; None for a single model."""
+    """Table I: signed-rank tests of every pair with the paper's symbols; None for a single model."""
     tests = view.tests
     if not tests:
         return None
@@ -277,7 +278,7 @@ def wilcoxon_table(view: Matched) -> StudyTable | None:
 
 
 def symbols_table(outcome: PaperOutcome, preset: str, motion: str) -> StudyTable | None:
-    """Table I as the paper lays it out: forward / inverse, ours and the paper's in brackets."""
+    """Table I in the paper's layout: forward / inverse, own result and the paper's in brackets."""
     views = {v.direction: v for v in matched(outcome) if v.preset == preset and v.motion == motion}
     signs = {(t.row, t.column, d): t.symbol for d, view in views.items() for t in view.tests}
     kinds = [kind for kind in outcome.kinds if any(kind in view.results for view in views.values())]
@@ -304,7 +305,7 @@ def symbols_table(outcome: PaperOutcome, preset: str, motion: str) -> StudyTable
 
 
 def cross_table(outcome: PaperOutcome, direction: str, preset: str) -> StudyTable | None:
-    """Mean RMSE by training motion and test motion; None without cross-trained models."""
+    """Table of mean RMSE by training motion and test motion; None without cross-trained models."""
     rows: list[list[Cell]] = []
     for kind in outcome.kinds:
         for train, parts in TRAINING_SETS.items():
@@ -327,7 +328,7 @@ def cross_table(outcome: PaperOutcome, direction: str, preset: str) -> StudyTabl
 
 
 def window_table(outcome: PaperOutcome) -> StudyTable | None:
-    """Error by length of the training windows; None without that stage."""
+    """Table of the error by length of the training windows; None without that stage."""
     rows: list[list[Cell]] = []
     for result in outcome.matching(stage="window"):
         window = result.job.window or 0

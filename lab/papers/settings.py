@@ -1,4 +1,4 @@
-"""Settings of a study: which models, trained how long, on what."""
+"""Settings of a study: models, duration of training, data."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _DEFAULTS: dict[str, dict[str, Any]] = {
 
 
 class PaperSettings(StudySettings):
-    """Settings of a study; `for_study` fills in each study's own defaults.
+    """Settings of a study; `for_study` adds each study's own defaults.
 
     Attributes:
         study: `s1` and `s2` on the simulated devices of the two papers, `real` on recorded logs.
@@ -73,7 +73,7 @@ class PaperSettings(StudySettings):
 
     @classmethod
     def for_study(cls, study: str, **changes: Any) -> Self:
-        """A study with its defaults and some changes; a change that is None or empty keeps the default.
+        """Settings of a study with its defaults and some changes; None or an empty change keeps the default.
 
         Raises:
             ConfigError: on an unknown study, kind, preset or stage, logs for a simulated study or none for `real`.

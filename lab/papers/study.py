@@ -1,4 +1,4 @@
-"""The studies `s1`, `s2` and `real`: kinds of model trained and tested as in the papers, or on recorded logs."""
+"""Studies `s1`, `s2` and `real`: kinds of model trained and tested as in the papers, or on recorded logs."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 """Same-run comparison of the controllers with public peers and with the matrix-product limit of the machine.
 
-Every claim is a ratio of two medians that were taken in turns; absolute times only give the scale. Sections stand in
-`kernels`, `controllers` and `growth`; `run` goes through them.
+Every claim is a ratio of two medians that were measured alternately; absolute times only give the scale. The sections
+are in `kernels`, `controllers` and `growth`; `run` executes them.
 """

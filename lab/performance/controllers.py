@@ -31,14 +31,14 @@ _GOAL = 6.0
 
 
 def linearised_controller(subject: Subject, settings: BenchSettings) -> GuardedController[Any]:
-    """The controller as shipped, but without effort: see `WEIGHTS`."""
+    """Shipped linearised controller, but without effort: see `WEIGHTS`."""
     weights = WeightsSettings(effort=WEIGHTS.effort)
     wanted = LinearisedMpcSettings(horizon=settings.horizon, weights=weights)
     return build_controller(wanted, subject.predictor, subject.inverse, subject.limits)
 
 
 def linearised_rows(subject: Subject, settings: BenchSettings, clock: Clock) -> list[Comparison]:
-    """One row for each peer, and one for the 99th percentile of our step.
+    """Rows of the linearised controller: one for each peer, and one for the 99th percentile of our step.
 
     Ours is the whole step: estimate, candidates, roll-out, Jacobian, quadratic program, line search, ladder. The peers
     solve the recorded planning problems of the same steps, from their own last solution; what they would need beside
@@ -97,7 +97,7 @@ def _tail(
 
 
 def _compared(row: Comparison, instants: Sequence[Instant], answers: Sequence[tuple[int, Answer]]) -> Comparison:
-    """The ratio, and whether the peer does the same job; its first answer, from a cold start, is left out."""
+    """Ratio of a peer, and whether it solves the same problem; its first answer, a cold start, is left out."""
     if row.times is None or row.other_times is None or len(answers) < 2:
         return row
     settled = answers[1:]
@@ -120,7 +120,7 @@ def _median(values: Sequence[float]) -> float:
 
 
 def program_rows(subject: Subject, settings: BenchSettings, clock: Clock) -> list[Comparison]:
-    """One row: the programs of a recorded scan, each around the last plan shifted by one sample."""
+    """Row of the quadratic programs of a recorded scan, each around the last plan shifted by one sample."""
     qp, programs = recorded_programs(subject, settings, WEIGHTS)
     ours, peer = DaqpSolver(qp.pattern, DaqpOptions()), OsqpSolver(qp.pattern, OsqpOptions())
     own = TimedCall(_PROGRAM, in_turn(programs, lambda _, p: ours.solve(p)))
@@ -138,7 +138,7 @@ def program_rows(subject: Subject, settings: BenchSettings, clock: Clock) -> lis
 def recorded_programs(
     subject: Subject, settings: BenchSettings, weights: WeightsSettings
 ) -> tuple[TrackingQp, list[QpData]]:
-    """The family of programs with these weights, and those of one scan."""
+    """Family of quadratic programs with these weights, and those of one scan."""
     limits, dt = subject.limits, subject.metadata.dt_s
     qp = TrackingQp(weights, limits, settings.horizon, dt)
     instants = record_scan(linearised_controller(subject, settings), subject)
@@ -153,7 +153,7 @@ def recorded_programs(
 
 
 def sampling_rows(subject: Subject, settings: BenchSettings, clock: Clock, threads: int) -> list[Comparison]:
-    """One row for each N of the peer: as many plans as ours draws, and those of the benchmark.
+    """Rows of the sampling controller, one for each N of the peer: our number of plans, and the benchmark's.
 
     Ours is the controller as shipped, one iteration, with estimate, candidates and ladder. The peer runs on one thread
     and on as many as there are, and is taken at its faster: on a busy machine its threads wait for each other, up to a
@@ -189,7 +189,7 @@ def sampling_rows(subject: Subject, settings: BenchSettings, clock: Clock, threa
 
 @dataclass(frozen=True)
 class _MppiPeer:
-    """The peer with N samples on some threads."""
+    """Peer with N samples on some threads."""
 
     samples: int
     threads: int
@@ -207,7 +207,7 @@ def _sampling_compared(
     instants: Sequence[Instant],
     answers: Sequence[tuple[int, Vec]],
 ) -> Comparison:
-    """The ratio, and what the plans cost: the peer's after it has settled, ours of the same problems."""
+    """Ratio of the peer, and the mean costs of its settled plans and of ours on the same problems."""
     settled = answers[len(answers) // 2 :]
     ours = [_plan_cost(subject, instants[k], instants[k].command.plan) for k, _ in settled]
     theirs = [_plan_cost(subject, instants[k], plan) for k, plan in settled]
@@ -234,7 +234,7 @@ def _peer_job(
     instants: list[Instant],
     answers: list[tuple[int, Vec]],
 ) -> TimedCall:
-    """The peer on the recorded planning problems; `answers` takes number and plan of each."""
+    """Timed job of the peer on the recorded planning problems; `answers` gets number and plan of each."""
     if subject.weights is None:
         raise TypeError(f"{subject.name}: the peer wants a network")
     mppi = TorchMppi(subject.weights, subject.limits, WEIGHTS, peer.samples, horizon, subject.metadata.dt_s, sigma)

@@ -1,4 +1,4 @@
-"""Section: growth of a step's time with horizon, samples and size of the network, and its figure."""
+"""Section on the growth of a step's time with horizon, samples and size of the network, and its figure."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def _sampling_samples(settings: BenchSettings, clock: Clock) -> list[Growth]:
 
 
 def _network(settings: BenchSettings, clock: Clock) -> list[Growth]:
-    """Both controllers over the width of the network; the operations of a layer grow with its square."""
+    """Step times of both controllers over the width of the network; a layer's operations grow with its square."""
     values = tuple(v for v in _doubled(settings.hidden) if v <= 2 * settings.hidden)
     subjects = [lstm_subject(hidden) for hidden in values]
     jobs = [_job(subject, LinearisedMpcSettings(horizon=settings.horizon)) for subject in subjects]
@@ -75,7 +75,7 @@ def _job(subject: Subject, wanted: AnyControllerSettings) -> TimedCall:
 def _measured(
     clock: Clock, what: str, size: str, values: tuple[int, ...], jobs: list[TimedCall], goal: float
 ) -> list[Growth]:
-    """The series; none where the keyboard ended it before every size was timed."""
+    """Measured series; none if the keyboard ended it before every size was timed."""
     named = [replace(job, name=str(value)) for job, value in zip(jobs, values, strict=True)]
     times = clock.measure(named)
     if len(times) < len(values):
@@ -84,7 +84,7 @@ def _measured(
 
 
 def growth_figure(series: Sequence[Growth]) -> Figure:
-    """Median and 99th percentile of a step over each size, both axes logarithmic, with the exponent at the end."""
+    """Plot of median and 99th percentile of a step over each size, axes logarithmic, with the exponent."""
     figure = Figure(figsize=(4.0 * len(series), 3.4), layout="constrained")
     for axes, one in zip(figure.subplots(1, len(series), squeeze=False)[0], series, strict=True):
         median, p99, least = ([1e3 * getattr(t, name) for t in one.times] for name in ("median_s", "p99_s", "least_s"))
@@ -102,7 +102,7 @@ def growth_figure(series: Sequence[Growth]) -> Figure:
 
 
 def save_growth(series: Sequence[Growth], folder: Path) -> None:
-    """growth.svg and growth.png in `folder`; nothing where there is no series."""
+    """Write growth.svg and growth.png into `folder`; no file without a series."""
     if series:
         figure = growth_figure(series)
         for name in ("growth.svg", "growth.png"):

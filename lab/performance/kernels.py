@@ -1,4 +1,4 @@
-"""Section: roll-outs and Jacobian of the network against the matrix-product limit of the machine."""
+"""Section on roll-outs and Jacobian of the network compared with the matrix-product limit of the machine."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _JACOBIAN, _ROLLOUT, _PLAIN = "Jacobian", "roll-outs", "Jacobian by the plain ro
 
 
 def product_call(a: Float32, b: Float32, threads: int) -> Callable[[], object]:
-    """One call of the product of `a` (M, K) and the constant `b` (K, N), into memory that is already there."""
+    """Call of the product of `a` (M, K) and the constant `b` (K, N), with preallocated output."""
     shapes = {"a": a.shape, "c": (a.shape[0], b.shape[1])}
     tensors = {name: helper.make_tensor_value_info(name, TensorProto.FLOAT, shape) for name, shape in shapes.items()}
     node = helper.make_node("MatMul", ["a", "b"], ["c"])
@@ -51,22 +51,22 @@ def step_flops(hidden: int, layers: int) -> int:
 
 
 def rollout_flops(hidden: int, layers: int, plans: int, horizon: int) -> int:
-    """N H F: every plan (N) at every sample (H)."""
+    """Operations of the roll-outs, N H F: every plan (N) at every sample (H)."""
     return plans * horizon * step_flops(hidden, layers)
 
 
 def jacobian_flops(hidden: int, layers: int, horizon: int) -> int:
-    """(H + H (H + 1) / 2) F: forward sensitivity, one row for the motion and one for each command given so far.
+    """Operations of the Jacobian, (H + H (H + 1) / 2) F, by forward sensitivity.
 
-    A tangent row takes the same matrix products as the motion; command j has none before sample j, so that sample k
-    has k of them (triangular growth): 230 rows at H = 20.
+    There is one row for the motion and one tangent row for each command given so far, with the same matrix products.
+    Command j has no tangent row before sample j, so that sample k has k of them (triangular): 230 rows at H = 20.
     """
     return (horizon + horizon * (horizon + 1) // 2) * step_flops(hidden, layers)
 
 
 @dataclass(frozen=True)
 class Product:
-    """A float32 matrix product (rows, inner) (inner, columns) by one library, `numpy` or `onnxruntime`."""
+    """Float32 matrix product (rows, inner) (inner, columns) by one library, `numpy` or `onnxruntime`."""
 
     library: str
     rows: int
@@ -75,12 +75,12 @@ class Product:
 
     @property
     def name(self) -> str:
-        """As jobs are called."""
+        """Name of the job."""
         return f"{self.library} {self.rows}x{self.inner}x{self.columns}"
 
     @property
     def calls(self) -> int:
-        """Products in one run of the job."""
+        """Number of products in one run of the job."""
         return max(1, round(_RUN_FLOPS / self._flops))
 
     @property
@@ -93,7 +93,7 @@ class Product:
         return 2 * self.rows * self.inner * self.columns
 
     def job(self, threads: int) -> TimedCall:
-        """The product, as often as one run needs."""
+        """Timed job with all products of one run."""
         rng = np.random.default_rng(0)
         a = rng.standard_normal((self.rows, self.inner)).astype(np.float32)
         b = rng.standard_normal((self.inner, self.columns)).astype(np.float32)
@@ -108,7 +108,7 @@ class Product:
 
 
 def products(hidden: int, plans: int, horizon: int) -> list[Product]:
-    """Shapes of the work, batches of rows through the gates of one layer, and a square one, by both libraries."""
+    """Products of typical shapes by both libraries: batches of rows through one layer's gates, and a square one."""
     rows = sorted({horizon + 1, 64, plans})
     shapes = [*((r, hidden, 4 * hidden) for r in rows), (plans, 2 * hidden, 4 * hidden), (512, 512, 512)]
     return [Product(library, *shape) for library in ("numpy", "onnxruntime") for shape in shapes]
@@ -121,7 +121,7 @@ def best_rate(candidates: Sequence[Product], times: Mapping[str, Times]) -> tupl
 
 
 def kernel_rows(subject: Subject, settings: BenchSettings, clock: Clock, threads: int) -> list[Comparison]:
-    """Jacobian (on one thread only: it has too few rows for two) and N roll-outs over the limit of this very section.
+    """Rows of the Jacobian (one thread only, since it has few rows) and of N roll-outs, relative to the limit.
 
     The limit is the job's unavoidable operations (`jacobian_flops`, `rollout_flops`) at the rate of the best float32
     matrix product that NumPy's BLAS or onnxruntime makes on as many threads. The plain route's Jacobian has a row of

@@ -1,4 +1,4 @@
-"""The stacked LSTM written out: its step and derivative in float64, and its step graph."""
+"""Stacked LSTM in plain NumPy: its step and derivative in float64, and its step graph."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ class LstmStep(StepFunction):
         self.state_size = weights.state_size
 
     def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
-        """Angles (N, 1) [deg] and next states (N, S) from states (N, S) and commands (N, 1)."""
         scaling = self.weights.scaling
         x = (np.asarray(u, dtype=np.float64) - scaling.u_offset) / scaling.u_scale
         following = []
@@ -36,7 +35,6 @@ class LstmStep(StepFunction):
         return scaling.theta_offset + scaling.theta_scale * y, np.concatenate(following, axis=1)
 
     def jacobian(self, state: Vec, u: float) -> Vec:
-        """Derivative of (theta, next state) by (state, u) at one point, shape (1 + S, S + 1)."""
         scaling, size, hidden = self.weights.scaling, self.state_size, self.weights.hidden
         identity = np.eye(size, size + 1)
         x = np.array([[(u - scaling.u_offset) / scaling.u_scale]])

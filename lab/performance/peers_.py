@@ -75,13 +75,13 @@ class Answer:
 
 @final
 class SingleShooting:
-    """min J(u) of `PlanCost` without effort and angle limits, subject to box and rate limits, over u (H,).
+    """Peer by single shooting: min J(u) of `PlanCost` without effort and angle limits, over u (H,).
 
-    Built once; every solve starts from the last solution shifted by one sample, with its multipliers.
+    Box and rate limits are constraints. It is built once; every solve starts from the last solution shifted by one
+    sample, with its multipliers.
 
     Args:
         function: step (state, u) -> (theta, next state).
-        horizon: H.
         dt: sample time [s].
     """
 
@@ -115,12 +115,12 @@ class SingleShooting:
 
 
 def quadratic_solver() -> str:
-    """The plugin that solves the peer's quadratic programs: the fastest of those that this CasADi has."""
+    """Plugin for the peer's quadratic programs: the fastest one available in this CasADi."""
     return next(name for name in ("daqp", "osqp", "qrqp") if ca.has_conic(name))
 
 
 def _build(function: Any, weights: WeightsSettings, horizon: int, method: Method) -> Any:
-    """The nonlinear program with parameters p = [state, u_last, reference]."""
+    """Nonlinear program with parameters p = [state, u_last, reference]."""
     # scalar expressions for operator chains, which are a few dozen operations long; matrix ones for networks
     sym: Callable[..., Any] = ca.SX.sym if function.is_a("SXFunction") else ca.MX.sym
     size = function.numel_in(0)
@@ -142,7 +142,7 @@ def _build(function: Any, weights: WeightsSettings, horizon: int, method: Method
 
 
 def _hessian(method: Method, u: Any, p: Any, half: Any, sym: Callable[..., Any]) -> Any:
-    """The Lagrangian's Gauss-Newton Hessian in the form that the solver wants; the constraints are linear."""
+    """Gauss-Newton Hessian of the Lagrangian in the form required by the solver; the constraints are linear."""
     factor, multipliers = sym("lam_f"), sym("lam_g", u.numel())
     hessian, name = 2.0 * factor * ca.densify(half), "hess_gamma_x_x"
     if method.solver == "ipopt":
@@ -170,12 +170,12 @@ _LAMBDA = 0.1  # with a sigma of the greatest move of a sample, near the least m
 
 
 def pytorch_mppi_installed() -> bool:
-    """Whether pytorch-mppi and torch are there; neither is imported."""
+    """Whether pytorch-mppi and torch are installed; neither is imported."""
     return find_spec("pytorch_mppi") is not None and find_spec("torch") is not None
 
 
 def net_of(weights: LstmWeights) -> LstmNet:
-    """A network with these weights, for further training."""
+    """Network with these weights, for further training."""
     import torch
 
     from hystmpc.models.networks.recurrent_ import LstmNet
@@ -191,14 +191,12 @@ def net_of(weights: LstmWeights) -> LstmNet:
 
 @final
 class TorchMppi:
-    """MPPI with N samples over H steps, the same model, cost and limits.
+    """MPPI with N samples over H steps, and the same model, cost and limits.
 
-    pytorch-mppi knows states and actions only, so that angle, command and its last change ride along in the state:
-    [LSTM state, theta, u, du]. Its own limits are those of a box; the rate limit is kept by the dynamics.
+    pytorch-mppi has only states and actions, so that angle, command and its last change are part of the state:
+    [LSTM state, theta, u, du]. It has only box limits; the rate limit is applied in the dynamics.
 
     Args:
-        samples: N.
-        horizon: H.
         dt: sample time [s].
         sigma: standard deviation of the perturbations [command unit].
     """
@@ -241,11 +239,11 @@ class TorchMppi:
         )
 
     def use_threads(self, count: int) -> None:
-        """Threads of torch from here on."""
+        """Set the number of threads of torch."""
         self._torch.set_num_threads(count)
 
     def solve(self, problem: PlanningProblem) -> Vec:
-        """The next plan (H,), from the last one shifted by one sample; its rate limited as in the dynamics."""
+        """Next plan (H,), from the last one shifted by one sample; its rate limited as in the dynamics."""
         self._reference = problem.reference.tolist()
         with self._torch.inference_mode():
             self._mppi.command(self._start(problem.state, problem.u_last))
@@ -253,7 +251,7 @@ class TorchMppi:
         return self._limits.clip_plans(plan[:, 0].numpy(), problem.u_last, self._dt)
 
     def angles(self, state: Vec, u_last: float, plan: Vec) -> Vec:
-        """Angles (H,) [deg] of one plan (H,) as the peer's dynamics see it, its rate limited."""
+        """Angles (H,) [deg] of one plan (H,) by the peer's dynamics, with rate limit."""
         angles = []
         with self._torch.inference_mode():
             rows = self._start(state, u_last)[None]

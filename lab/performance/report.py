@@ -1,4 +1,4 @@
-"""The result of a benchmark: rows of one ratio each, as JSON and as a table of text."""
+"""Result of a benchmark: rows of one ratio each, as JSON and as a table of text."""
 
 from __future__ import annotations
 
@@ -20,18 +20,17 @@ class Reads(StrEnum):
     """Meaning of a ratio."""
 
     FASTER = "x faster"  # peer / ours
-    OVER_LIMIT = "x limit"  # ours / limit
+    OVER_LIMIT = "x limit"
     TAIL = "p99/median"  # of ours
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """One comparison.
+    """Comparison of one quantity with a peer or a limit.
 
     Attributes:
         goal: of the ratio: at least for `FASTER`, at most for the others; None for none.
         state: `measured`, `not installed`, `interrupted`.
-        ratio: None unless measured.
         times, other_times: of both sides; the limit has a duration only.
         limit_s: duration at the limit [s].
     """
@@ -50,20 +49,20 @@ class Comparison:
     note: str = ""
 
     def with_times(self, ours: Times | None, other: Times | None) -> Comparison:
-        """The row with the times of both sides, as far as there are any."""
+        """Row with the available times of both sides."""
         return replace(self, times=ours, other_times=other)
 
     def measured(self, ratio: float, **more: Any) -> Comparison:
-        """The row with its ratio, and values for further fields."""
+        """Row with its ratio, and values for further fields."""
         return replace(self, ratio=ratio, state="measured", **more)
 
     def without_peer(self) -> Comparison:
-        """The row of a peer that is not there."""
+        """Row of a peer that is not installed."""
         return replace(self, state="not installed")
 
     @property
     def least_ratio(self) -> float | None:
-        """The ratio of the shortest calls, which other load on the machine hardly disturbs; None where it has none."""
+        """Ratio of the shortest calls, which other load on the machine hardly disturbs; None without one."""
         if self.ratio is None or self.times is None or self.reads is Reads.TAIL:
             return None
         if self.limit_s is not None:
@@ -84,7 +83,7 @@ class Comparison:
 
 @dataclass(frozen=True, eq=False)
 class Growth:
-    """Growth of one step's time with one size.
+    """Growth of a step's time with one size.
 
     Attributes:
         size: that is changed, `H`, `N` or `hidden`.
@@ -101,7 +100,7 @@ class Growth:
 
     @property
     def exponent(self) -> float:
-        """p of time ~ size^p between the two greatest sizes, by the shortest calls, which a busy machine leaves."""
+        """Exponent p of time ~ size^p between the two greatest sizes, by the shortest calls, against disturbances."""
         (a, b), (s, t) = self.values[-2:], (times.least_s for times in self.times[-2:])
         return math.log(t / s) / math.log(b / a)
 
@@ -113,7 +112,7 @@ class Growth:
 
 @dataclass(frozen=True, eq=False)
 class BenchReport:
-    """A whole run."""
+    """Report of a whole run."""
 
     settings: Mapping[str, Any]
     machine: Mapping[str, Any]
@@ -174,7 +173,7 @@ def _times_json(times: Times | None) -> dict[str, Any]:
 
 
 def table_rows(report: BenchReport) -> list[list[str]]:
-    """One list of texts a row, in the order of `COLUMNS`; what is measured is named in its first row."""
+    """Rows of text in the order of `COLUMNS`; the measured quantity is named only in its first row."""
     rows, before = [], ""
     for row in report.rows:
         name = f"{row.section}: {row.ours}"
@@ -196,7 +195,7 @@ def _against(row: Comparison) -> list[str]:
 
 
 def _disturbed(row: Comparison) -> str:
-    """The ratio of the shortest calls where it is far from that of the medians: other work has taken part."""
+    """Ratio of the shortest calls if it differs much from that of the medians, a sign of other load."""
     least = row.least_ratio
     if row.ratio is None or least is None or 1 / _DISTURBED < row.ratio / least < _DISTURBED:
         return ""
@@ -216,7 +215,7 @@ def _ratio(value: float) -> str:
 
 
 def _duration(seconds: float | None) -> str:
-    """With a unit that fits: 173 us, 2.31 ms, 1.20 s."""
+    """Duration with a suitable unit: 173 us, 2.31 ms, 1.20 s."""
     if seconds is None:
         return _DASH
     if seconds < 1e-3:

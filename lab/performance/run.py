@@ -1,4 +1,4 @@
-"""All sections of the benchmark in one run."""
+"""Run of all sections of the benchmark."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _SECTIONS = 8 + len(GROWTHS)
 
 
 def run_bench(settings: BenchSettings, progress: Progress | None = None) -> BenchReport:
-    """Measure every section; after Ctrl-C the report holds what there is."""
+    """Measure every section; after Ctrl-C the report holds the results so far."""
     rows: list[Comparison] = []
     models: dict[str, str] = {}
     growth: list[Growth] = []
@@ -57,7 +57,7 @@ def run_bench(settings: BenchSettings, progress: Progress | None = None) -> Benc
 def _sections(
     settings: BenchSettings, clock: Clock, models: dict[str, str]
 ) -> Iterator[tuple[str, Callable[[], list[Comparison]]]]:
-    """Titles and measurements; models are built when their turn comes."""
+    """Titles and measurements; models are built when needed."""
     lstm = lstm_subject(settings.hidden)
     models[lstm.name] = lstm.source
     for threads in (1, 2):
@@ -72,7 +72,7 @@ def _sections(
 
 
 def machine() -> dict[str, Any]:
-    """Processor, cores, their load over the last minute, and versions of what takes part."""
+    """Processor, cores, their load over the last minute, and versions of the software involved."""
     versions = {}
     for package in _PACKAGES:
         try:

@@ -1,4 +1,4 @@
-"""Models and recorded loops of the benchmark, and their timing in turns, so that other load meets all alike."""
+"""Models and recorded loops of the benchmark, and their alternate timing, so that other load affects all alike."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ WEIGHTS = WeightsSettings(effort=0.0)
 
 @dataclass(frozen=True)
 class TimedCall:
-    """Something to be timed: its name and one call of it."""
+    """Job to be timed: its name and one call of it."""
 
     name: str
     run: Callable[[], object]
@@ -57,7 +57,6 @@ class Effort:
     Attributes:
         rounds: turns; in each, every job runs once or, where it is short, in a burst.
         burst_s: time of a burst [s].
-        burst_most: most calls in a burst.
         longest_s: a section ends after this time even if turns are left, as on a machine that is busy otherwise [s].
 
     Raises:
@@ -97,13 +96,13 @@ class Times:
 
 
 def thread_limit(count: int) -> AbstractContextManager[object]:
-    """Threads of the BLAS and OpenMP libraries that are loaded by now, while the block lasts."""
+    """Limit the threads of the loaded BLAS and OpenMP libraries within the block."""
     return ThreadpoolController().limit(limits=count)
 
 
 @final
 class Clock:
-    """Times jobs in turns and remembers whether the keyboard ended it."""
+    """Stopwatch of alternating jobs; it records whether the keyboard ended the measurement."""
 
     def __init__(self, effort: Effort, on_round: Callable[[int], None] | None = None) -> None:
         self._effort = effort
@@ -111,11 +110,11 @@ class Clock:
         self.interrupted = False
 
     def measure(self, jobs: Sequence[TimedCall], threads: int = 1) -> Mapping[str, Times]:
-        """Times by name; after Ctrl-C those of the jobs that have run by then.
+        """Measure the times by name; after Ctrl-C those of the jobs run so far.
 
-        Every job is called before it counts: to compile and warm up, and to see how long it takes. The order
-        moves on by one from turn to turn. The first call of a burst pays for the caches that the job before has filled
-        and does not count; a job too long for bursts counts always.
+        Every job is called once before: to compile, to warm up, and to estimate its duration. The order is rotated by
+        one from turn to turn. The first call of a burst is not counted, since it reloads the caches after another job;
+        a job too long for bursts is always counted.
 
         Args:
             threads: of BLAS and OpenMP in this process.
@@ -165,7 +164,7 @@ THOROUGH = Effort(rounds=25, burst_s=0.04, burst_most=25)
 
 @dataclass(frozen=True)
 class BenchSettings:
-    """Sizes of what is measured.
+    """Sizes of the measured jobs.
 
     Attributes:
         hidden: cells in each of the network's two layers; the goals are for 64.
@@ -179,7 +178,7 @@ class BenchSettings:
     effort: Effort = THOROUGH
 
     def plain(self) -> dict[str, Any]:
-        """As numbers for the report."""
+        """Numbers for the report."""
         return asdict(self)
 
 
@@ -199,7 +198,7 @@ _SETTLING = 25  # samples from rest to the scan, left out
 
 
 def lstm_model(hidden: int) -> tuple[OnnxModel, str]:
-    """A network with two layers of `hidden` cells as controllers load it, and one line on where it comes from."""
+    """Network with two layers of `hidden` cells as loaded by controllers, and one line on its origin."""
     for name in library_names():
         path = library_file(name)
         if path.suffix == ".onnx":
@@ -210,10 +209,10 @@ def lstm_model(hidden: int) -> tuple[OnnxModel, str]:
 
 
 def random_weights(hidden: int) -> LstmWeights:
-    """Seeded weights whose angle rises with the command, from 29 deg at rest to 89 deg at 6 mm.
+    """Seeded weights with an angle that rises with the command, from 29 deg at rest to 89 deg at 6 mm.
 
-    With the small gain of freshly drawn weights an optimiser's first step would be its last. Large input weights make
-    the network curved, positive ones along the path of the cells make it rise, and the head scales it to a catheter.
+    With the small gain of freshly drawn weights an optimiser would converge in one step. Large input weights make
+    the network nonlinear, positive ones along the path of the cells make it rise, and the head scales it to a catheter.
     """
     rng = np.random.default_rng(0)
     spread = 1.0 / np.sqrt(hidden)
@@ -272,7 +271,7 @@ def _size(model: OnnxModel) -> tuple[int, int]:
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """A model under control.
+    """Model under control.
 
     Attributes:
         predictor, inverse: as controllers use them; the model's own state stands first in the predictor's.
@@ -302,7 +301,7 @@ class Subject:
         return int(self.function.numel_in(0))
 
     def scan(self, first: int, horizon: int) -> NDArray[np.float64]:
-        """Wanted angles (H,) [deg] from sample `first` on: a sinusoid in the middle half of the angle range."""
+        """Reference angles (H,) [deg] from sample `first` on: a sinusoid in the middle half of the angle range."""
         angle = self.metadata.trained_angle
         t = self.metadata.dt_s * (first + np.arange(horizon))
         span = angle.upper - angle.lower
@@ -315,13 +314,13 @@ class Subject:
 
 
 def lstm_subject(hidden: int) -> Subject:
-    """The network; its inverse is that of a backlash fitted to it."""
+    """Network as a subject; its inverse is that of a backlash fitted to it."""
     model, source = lstm_model(hidden)
     return _subject("LSTM", source, model, model.casadi_function(), LstmWeights.from_arrays(model.initializers))
 
 
 def operator_subjects() -> list[Subject]:
-    """Backlash (forward fit of RA-L 2024, PMC11633443 (S2)), and a rate-dependent Prandtl-Ishlinskii model like it."""
+    """Subjects of a backlash (forward fit of RA-L 2024, PMC11633443 (S2)) and of a similar Prandtl-Ishlinskii model."""
     operators: dict[str, Operator] = {
         "backlash": Backlash(10.27, 10.70, 2.822, 2.003),
         "PI": PrandtlIshlinskii(3.0, (2.5, 2.0, 1.5, 1.2), 0.15, 0.012, 22.0),
@@ -357,7 +356,7 @@ def _catheter(chain: Chain) -> Simulator:
 
 @dataclass(frozen=True, eq=False)
 class Instant:
-    """One step of the recorded loop: what came in, and the command that went out."""
+    """Step of the recorded loop: its inputs and the resulting command."""
 
     state: GuardedState[Any]
     measured: float
@@ -366,7 +365,7 @@ class Instant:
 
     @property
     def problem(self) -> PlanningProblem:
-        """The planning problem of this step, for whoever solves it instead; no effort, no angle limits."""
+        """Planning problem of this step for a peer; no effort, no angle limits."""
         wanted = self.reference - self.command.disturbance
         estimate = self.state.estimate
         nothing = np.zeros(wanted.size)
@@ -388,7 +387,7 @@ def record_scan(controller: GuardedController[Any], subject: Subject) -> list[In
 
 
 def in_turn(items: Sequence[T], call: Callable[[int, T], object]) -> Callable[[], object]:
-    """A call without arguments that goes through `items`, over and over, with their numbers."""
+    """Call without arguments that cycles through `items`, with their numbers."""
     position = -1
 
     def run() -> object:

@@ -1,1 +1,1 @@
-"""Public benchmarks: the data of others, their test, their figures beside ours."""
+"""Public benchmarks: external data, their tests, and published results for comparison."""

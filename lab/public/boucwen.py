@@ -1,4 +1,4 @@
-"""The Bouc-Wen benchmark: its records, tests simulated from the published system, the published figures.
+"""Bouc-Wen benchmark: its records, tests simulated from the published system, the published figures.
 
 Source: Noel and Schoukens, Hysteretic benchmark with a dynamic nonlinearity, Workshop on Nonlinear System
 Identification Benchmarks, Brussels (2016); data doi 10.4121/12967592.
@@ -52,7 +52,7 @@ _PERIODS = 3
 
 @final
 class BoucWenData(PublicData):
-    """The benchmark: one training record, official test records where they are given, and tests simulated here."""
+    """Benchmark data: one training record, official test records if given, and tests simulated here."""
 
     title = "A public benchmark: Bouc-Wen"
     about = """The Bouc-Wen benchmark: a force in N moves a mass on a spring with a hysteretic force behind it. Its
@@ -78,7 +78,7 @@ multisine of another realisation and a sine sweep."""
 
 
 def read_record(path: Path | str) -> Trial:
-    """A record of two columns, `force_N` and `displacement_m`, at 750 Hz.
+    """Read a record of two columns, `force_N` and `displacement_m`, at 750 Hz.
 
     Raises:
         LogError: if the file is missing, or has other columns or numbers that are not finite.
@@ -100,7 +100,7 @@ def read_record(path: Path | str) -> Trial:
 
 
 def noise_of_periods(trial: Trial) -> float:
-    """Standard deviation of what differs between the periods of a periodic record behind its first [m].
+    """Standard deviation of the difference between the periods of a periodic record after its first [m].
 
     Not-a-number of a record of fewer than three periods, or whose force is not periodic.
     """
@@ -112,7 +112,7 @@ def noise_of_periods(trial: Trial) -> float:
 
 
 def given_tests(paths: tuple[str, ...]) -> list[ScoredRecord]:
-    """Test records from files; one of exactly a period is periodic.
+    """Read test records from files; one of exactly a period is periodic.
 
     Of MATLAB files together every pair `uval_NAME` and `yval_NAME` is a record: the official ones hold a signal a file.
 
@@ -144,7 +144,7 @@ def _alone(record: str, signals: Mapping[str, tuple[str, Vec]]) -> tuple[str, Ve
 
 
 def simulated_tests(seed: int, quick: bool = False) -> list[ScoredRecord]:
-    """A multisine of another realisation, and a sine sweep, answered by the published system as we simulate it.
+    """Response of the published system, simulated here, to another multisine realisation and a sine sweep.
 
     Runge-Kutta at 15 kHz, low-pass without delay, every twentieth sample. No noise.
     """

@@ -32,13 +32,16 @@ SEAL_LAYOUT = LogMapping.parse(
     },
     "seals",
 )
-RATE_HZ, _SEEN_STROKES, _LAW = 25.0, 0.6, 2  # pressures from which friction is extrapolated, at least
+RATE_HZ, _SEEN_STROKES, _LAW = 25.0, 0.6, 2  # least number of pressures for an extrapolation of friction
 _NAME = re.compile(r"(.+)_([0-9.]+)bar")
 
 
 @final
 class SealData(PublicData):
-    """Each file alone, its last strokes withheld; of a seal of several pressures the highest one, or a test file."""
+    """Seal friction: each file alone with its last strokes held out, or other pressures or files as the test.
+
+    For a seal of several pressures the highest one, or a test file, is predicted.
+    """
 
     title = "Friction of the seals of pneumatic pistons"
     about = """The displacement of a piston in mm to the force at its rod in N, ten strokes a file at a constant
@@ -68,11 +71,7 @@ the mean of each file is taken off. Compare the errors less their mean: the offs
 
 
 def _named(path: Path) -> tuple[str, float]:
-    """Seal, and pressure [bar], from a file's name.
-
-    Raises:
-        LogError: if it has another form.
-    """
+    """Seal, and pressure [bar], from a file's name; `LogError` if it has another form."""
     if (match := _NAME.fullmatch(path.stem)) is None:
         raise LogError(f"{path}: expected a name like O-ring_3bar.tsv: seal and pressure")
     return match[1], float(match[2])
@@ -84,7 +83,7 @@ def _seal_log(path: Path) -> list[Trial]:
 
 
 def half_height(trials: Sequence[Trial]) -> float:
-    """Half the distance of the branches at the middle of the stroke [N]: the friction force."""
+    """Half the distance of the branches at the middle of the stroke [N], which is the friction force."""
     command = np.concatenate([trial.command for trial in trials])
     middle = 0.5 * float(command.max() + command.min())
     rise, fall = (np.polyval(branch(trials, way, rises=False), middle) for way in (Motion.LOADING, Motion.UNLOADING))
@@ -92,7 +91,7 @@ def half_height(trials: Sequence[Trial]) -> float:
 
 
 def _strokes(path: Path, parts: Sequence[Trial]) -> Case:
-    """The first strokes of a file fitted, the last scored."""
+    """Case with the first strokes of a file for the fit, and the last for the score."""
     seen, left = withheld_end(parts, _SEEN_STROKES, "last strokes")
     facts = {"friction [N]": half_height(parts), "spread of the force [N]": _spread(parts)}
     return Case(path.stem, seen, left, facts)
@@ -103,7 +102,7 @@ def _spread(parts: Sequence[Trial]) -> float:
 
 
 def _pressures(logs: Mapping[Path, Sequence[Trial]], own: Sequence[Path], test: Path) -> Iterator[Case]:
-    """Fit to some files of a seal, score on another; friction as it is, and as a line over the pressure has it."""
+    """Case with a fit to some files of a seal and a score on another; friction unscaled, or linear in the pressure."""
     if not own:
         raise LogError(f"{test}: no file of the same seal in --data, expected one or more")
     parts = {path: _centred(found) for path, found in logs.items()}
@@ -122,7 +121,6 @@ def _pressures(logs: Mapping[Path, Sequence[Trial]], own: Sequence[Path], test: 
 
 
 def _centred(parts: Sequence[Trial]) -> list[Trial]:
-    """Less the mean of all parts."""
     mean = float(np.concatenate([part.angle for part in parts]).mean())
     return [replace(part, angle=part.angle - mean) for part in parts]
 
@@ -144,7 +142,7 @@ _SEEN_OF_RIG = 2 / 3
 
 @final
 class RigData(PublicData):
-    """Each log alone: its first two thirds are fitted, its last third is scored, and every test file whole."""
+    """Fatigue rig: the first two thirds of each log for the fit, its last third and every test file for the score."""
 
     title = "A fatigue rig"
     about = """A beam in a hydraulic rig: the voltage of the valve in V to the displacement in mm, at 25 Hz. The first

@@ -1,4 +1,4 @@
-"""A public data set as the study has it: settings, what is fitted together, what is scored, the figures of others."""
+"""Public data set in the form of the study: settings, fitted trials, scored records, published figures."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class PublicSettings(StudySettings):
 
     @classmethod
     def of(cls, **changes: Any) -> Self:
-        """The study with some changes; a change that is None or empty keeps the default.
+        """Settings of the study with some changes; None or an empty change keeps the default.
 
         Raises:
             ConfigError: on an unknown data set, or without a file.
@@ -88,7 +88,6 @@ class Score:
     """Errors of a free run over one record, in the unit of the data set.
 
     Attributes:
-        rmse: root mean square error.
         spread: the same less the mean error.
         span: range of the measured output where it counts.
     """
@@ -105,7 +104,6 @@ class PublicResult(Result):
     Attributes:
         fit_s: time of the identification [s].
         parameters: values of its readable form, with their labels; nothing of a network.
-        scores: by test record.
     """
 
     job: PublicJob
@@ -116,13 +114,11 @@ class PublicResult(Result):
 
 @dataclass(frozen=True, eq=False)
 class ScoredRecord:
-    """A record of the test.
+    """Record of the test.
 
     Attributes:
         start: output from which a free run begins.
         periodic: one period of a steady state: a model runs over it several times, and the last time counts.
-        simulated: whether it was simulated here.
-        first: first sample that counts.
         height: by which the record was divided, so that the training could be; errors are multiplied by it.
     """
 
@@ -169,11 +165,9 @@ class Published:
 
 
 class PublicData(ABC):
-    """One data set.
+    """Public data set with its cases and published figures.
 
     Attributes:
-        title, about: of the page.
-        units: of its command and output.
         published: figures of others; empty where none is known.
         note: what the published figures are of, or that there are none.
     """
@@ -186,7 +180,7 @@ class PublicData(ABC):
 
     @abstractmethod
     def files(self, settings: PublicSettings) -> tuple[Path, ...]:
-        """All files that are read.
+        """All input files.
 
         Raises:
             LogError: if there is none.
@@ -194,7 +188,7 @@ class PublicData(ABC):
 
     @abstractmethod
     def cases(self, settings: PublicSettings) -> Sequence[Case]:
-        """What is fitted and scored.
+        """Cases with fitted trials and scored records.
 
         Raises:
             LogError: if a file cannot be used.
@@ -202,7 +196,7 @@ class PublicData(ABC):
 
 
 def files_in(path: Path | str, pattern: str) -> tuple[Path, ...]:
-    """The file, or those of a folder that fit a pattern, by name.
+    """The given file, or the files in a folder that match a pattern, by name.
 
     Raises:
         LogError: if there is none.
@@ -218,17 +212,16 @@ _LEAD_S = 5.0
 
 
 def unsettled(part: Trial) -> int:
-    """Samples at the start of a record that are not scored: how the device came there is not known."""
+    """Number of samples at the start of a record that are not scored, since the earlier history is unknown."""
     return min(round(_LEAD_S / part.dt), len(part) // 2)
 
 
 def withheld_end(parts: Sequence[Trial], share: float, name: str) -> tuple[list[Trial], list[ScoredRecord]]:
-    """The first share of a log to identify from, and its end to score; a model runs from the start of each part.
+    """First share of a log for identification, and its end for the score, with a fresh start in each part.
 
     Args:
         parts: of one log, cut at its gaps.
         share: of its samples, that is seen.
-        name: of the test.
     """
     seen, left = [], []
     open_samples = round(share * sum(map(len, parts)))

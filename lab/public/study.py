@@ -1,4 +1,4 @@
-"""The study `public`: every kind of model on every case of a public data set, and its page."""
+"""Study `public`: every kind of model on every case of a public data set, and its page."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from .records import Case, PublicData, PublicJob, PublicResult, PublicSettings, 
 
 
 def data_set(settings: PublicSettings) -> PublicData:
-    """The data set of these settings."""
+    """Data set of these settings."""
     known: dict[str, type[PublicData]] = {"boucwen": BoucWenData, "seals": SealData, "rig": RigData}
     return known[settings.dataset]()
 
@@ -37,7 +37,7 @@ _LAPS = 3  # passes over a period: the first two end the transient
 
 
 def run_kind(job: PublicJob, settings: PublicSettings, folder: Path) -> dict[str, Any]:
-    """Message, time, parameters and scores of a job, see `PublicResult`; the model is written into the folder."""
+    """Execute a job, write its model; return message, time, parameters and scores, see `PublicResult`."""
     kind = kind_named(job.kind)
     case = next(case for case in data_set(settings).cases(settings) if case.name == job.case)
     request = FitRequest(kind.usual_training(False), settings.seed, settings.steps(job.kind))
@@ -79,7 +79,7 @@ _SHOWN, _MOST_PARAMETERS = 400, 12  # samples, numbers
 
 
 def errors_table(outcome: PublicOutcome) -> StudyTable:
-    """A row for each case, test and kind, and for each published figure; the best of a test first."""
+    """Table of errors: a row for each case, test and kind, and for each published figure; best first."""
     data = data_set(outcome.settings)
     unit, rows = data.units.angle, list[tuple[str, str, float, list[Cell]]]()
     for r in outcome.done:
@@ -98,7 +98,7 @@ def errors_table(outcome: PublicOutcome) -> StudyTable:
 
 
 def cases_table(outcome: PublicOutcome) -> StudyTable:
-    """What is known of the cases."""
+    """Table of known facts of the cases."""
     names = list(dict.fromkeys(name for case in outcome.drawn for name in case.facts))
     rows = list[list[Cell]]()
     for case in outcome.drawn:
@@ -111,7 +111,7 @@ def cases_table(outcome: PublicOutcome) -> StudyTable:
 
 
 def parameters_table(outcome: PublicOutcome) -> StudyTable:
-    """What a readable model says of the device; of a few numbers only."""
+    """Table of the parameters of readable models with few numbers."""
     rows: list[list[Cell]] = [
         [r.job.case or NOTHING, r.job.kind, name, value]
         for r in outcome.done
@@ -124,7 +124,7 @@ def parameters_table(outcome: PublicOutcome) -> StudyTable:
 
 
 def _against(outcome: PublicOutcome, case: Case, unit: str) -> Figure | None:
-    """Measured and predicted at the end of the first test, and what every model leaves, over all samples."""
+    """Plots of measured and predicted signal at the end of the first test, and of every model's error."""
     done = [r for r in outcome.done if r.job.case == case.name]
     if not done or not case.tests:
         return None
@@ -146,7 +146,7 @@ def _against(outcome: PublicOutcome, case: Case, unit: str) -> Figure | None:
 
 
 def public_report(outcome: PublicOutcome) -> tuple[Report, list[StudyTable]]:
-    """The page and all tables that are written as CSV."""
+    """Page of the study, and all tables that are written as CSV."""
     data = data_set(outcome.settings)
     errors, cases, parameters = errors_table(outcome), cases_table(outcome), parameters_table(outcome)
     given = [Path(file).name for file in outcome.settings.test]
@@ -174,12 +174,10 @@ def _cases(settings: PublicSettings) -> Sequence[Case]:
 
 
 def _jobs(settings: PublicSettings, cases: Sequence[Case]) -> tuple[PublicJob, ...]:
-    """A job for each case and kind."""
     return tuple(PublicJob(case.name, kind) for case in cases for kind in dict.fromkeys(settings.kinds))
 
 
 def _inputs(job: PublicJob, settings: PublicSettings, folder: Path) -> dict[str, Any]:
-    """The settings and the files."""
     del folder
     files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in data_set(settings).files(settings)]
     return settings.model_dump(mode="json") | {"kinds": job.kind, "data": job.case, "test": files}

@@ -20,7 +20,7 @@ _FULL_TURN = 360.0
 
 
 class Groove(Settings):
-    """A ring milled into the cap along its axis: walls are cylinders about the axis, the bottom a concentric sphere.
+    """Ring milled into the cap along its axis: walls are cylinders about the axis, the bottom a concentric sphere.
 
     Attributes:
         radius_mm: distance of its middle from the cap's axis [mm].
@@ -39,7 +39,7 @@ class Groove(Settings):
 
 
 class Pattern(Settings):
-    """The surface of one sector of the cap.
+    """Surface of one sector of the cap.
 
     Attributes:
         grooves: from the axis outwards; none for a smooth surface.
@@ -57,7 +57,7 @@ class Pattern(Settings):
 
 
 class Cap(Settings):
-    """A hollow spherical cap before the tip, open towards it, its axis along the straight catheter.
+    """Hollow spherical cap before the tip, open towards it, its axis along the straight catheter.
 
     Every sector carries one pattern; sector j covers [j sector_deg, (j + 1) sector_deg) of the rotation. Dimensions and
     groove positions are OURS (S1 Fig. 6 is lost), chosen from two conditions that know of no model: over 0 to 31 deg,
@@ -122,7 +122,7 @@ class Cap(Settings):
 
 
 class Oct(Settings):
-    """The ranging fibre at the tip, looking along its tangent; one distance a sample. S1 prints none of these numbers.
+    """Ranging fibre at the tip along its tangent; one distance a sample. S1 prints none of these numbers.
 
     Attributes:
         noise_mm: standard deviation of white noise on a distance [mm].
@@ -161,7 +161,7 @@ _ARC_POINTS = 200
 
 @dataclass(frozen=True)
 class Segment:
-    """A segment of length L that bends by theta in a plane; r is across and z along the straight segment.
+    """Segment of length L with bending angle theta in a plane; r is across and z along the straight segment.
 
     tip     (r, z) = L ( (1 - cos theta) / theta, sin theta / theta ),  (0, L) where theta = 0
     tangent (r, z) = ( sin theta, cos theta )
@@ -189,7 +189,7 @@ class Segment:
         return self.length_mm * np.stack([np.sin(t / 2) * _sinc(t / 2), _sinc(t)], axis=-1)
 
     def tangent(self, theta_deg: ArrayLike) -> Mat:
-        """Unit vector (..., 2) that the tip looks along."""
+        """Unit vector (..., 2) of the tip's direction."""
         t = np.radians(np.asarray(theta_deg, float))
         return np.stack([np.sin(t), np.cos(t)], axis=-1)
 
@@ -281,7 +281,7 @@ def profile(settings: ReconstructionSettings, pattern: Pattern) -> Mat:
 def checked_angles(
     settings: ReconstructionSettings, theta_deg: ArrayLike, what: str, kind: type[HystmpcError] = ConfigError
 ) -> Vec:
-    """The angles as an array.
+    """Check the angles and return them as an array.
 
     Raises:
         HystmpcError: of that `kind`, if one is not finite or beyond `max_angle_deg`; names `what`, sample and value.
@@ -303,7 +303,7 @@ def _exit(q: Mat, e: Mat, radius: float) -> Vec:
 
 
 def _through_groove(q: Mat, e: Mat, distance: Vec, groove: Groove, radius: float) -> Vec:
-    """Distances, of rays that enter the groove those to its bottom or wall."""
+    """Distances of all rays; for those that enter the groove, to its bottom or wall."""
     start, stop = groove.edges_mm
     entry = q[..., 0] + distance * e[..., 0]
     side = np.where(entry < 0, -1.0, 1.0)
@@ -327,7 +327,7 @@ def _first(values: Vec, where: NDArray[np.bool_]) -> float:
 
 
 def measured_distance(distance_mm: Vec, oct_settings: Oct, random: np.random.Generator) -> Vec:
-    """Measured distances: white noise first, then the nearest step of the axial resolution.
+    """Measured distances with white noise, rounded to the axial resolution.
 
     Args:
         distance_mm: true distances (T,) [mm].

@@ -1,4 +1,4 @@
-"""The session of scans: commands to device and models, and the recorded scans."""
+"""Session of scans: commands to device and models, and the recorded scans."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Scan:
 
     @property
     def where(self) -> str:
-        """The scan as messages name it."""
+        """Name of the scan in messages."""
         return f"scan at {self.rotation_deg:g} deg"
 
     def _problem(self, angles: Vec) -> str:
@@ -68,7 +68,7 @@ class Scan:
 
 
 class Protocol(Settings):
-    """18 scans of one period each: p(t) = P/2 (sin(2 pi f t - pi/2) + 1), the cap turned by 15 deg between two.
+    """Protocol of 18 scans of one period each: p(t) = P/2 (sin(2 pi f t - pi/2) + 1), with 15 deg of rotation between.
 
     Source: S1 section III-B; [I] inferred or ours, not printed.
 
@@ -104,7 +104,7 @@ class Protocol(Settings):
 
 @dataclass(frozen=True, eq=False)
 class Session:
-    """The command of all scans, one after another.
+    """Commands of all scans in sequence.
 
     Attributes:
         dt_s: sample time [s].
@@ -120,7 +120,7 @@ class Session:
 
 
 def session(protocol: Protocol) -> Session:
-    """The session of a protocol: lead-in, then period and rest for every scan."""
+    """Build the session of a protocol: lead-in, then period and rest for every scan."""
     period = round(protocol.rate_hz / protocol.frequency_hz)
     phase = 2 * np.pi * np.arange(period) / period
     stroke = protocol.peak_bar / 2 * (np.sin(phase - np.pi / 2) + 1)

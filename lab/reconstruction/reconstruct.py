@@ -41,12 +41,12 @@ class RankTest:
 
     @property
     def probability_smaller(self) -> float:
-        """Share of pairs in which the first model's error is the smaller one, 0 to 1: the size of the effect."""
+        """Share of pairs in which the first model's error is smaller, 0 to 1: the size of the effect."""
         return 1.0 - self.u / self.n**2
 
 
 def rank_test(names: tuple[str, str], errors_mm: tuple[Vec, Vec], pattern: str, unit: Unit) -> RankTest:
-    """The test on two samples of one size; p = 1 where all values are equal, which has no ranks to compare."""
+    """Mann-Whitney U test on two samples of one size; p = 1 if all values are equal."""
     first, second = errors_mm
     if np.ptp(np.concatenate([first, second])) == 0:
         return RankTest(pattern, *names, unit, first.size, first.size**2 / 2, 1.0)
@@ -72,7 +72,7 @@ class ErrorSummary:
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """Points of all scans, one after another, P in all; paired row by row.
+    """Points of all scans in sequence, P in total; arrays correspond row by row.
 
     Attributes:
         rotation_deg: of the cap at each point (P,) [deg].
@@ -150,7 +150,7 @@ class Reconstruction:
         return ErrorSummary(float(np.mean(error)), float(np.std(error)), float(np.max(error)), error.size)
 
     def sensor_error_mm(self) -> Vec:
-        """Distance of every ground-truth point from where its ray met the cap (P,) [mm]: the sensors' own error."""
+        """Distance of every ground-truth point from its true surface point (P,) [mm]: the sensors' error."""
         return np.sqrt(np.sum((self.truth_mm - self.surface_mm) ** 2, axis=1))
 
     def compare(self, first: str, second: str, unit: Unit = "points") -> tuple[RankTest, ...]:
@@ -170,8 +170,6 @@ class Reconstruction:
 
 @dataclass(frozen=True, eq=False)
 class _ScanClouds:
-    """Points of one scan."""
-
     distance: Vec
     surface: Mat
     truth: Mat
@@ -219,7 +217,7 @@ def reconstruct(
 
 
 def _checked(scans: Sequence[Scan]) -> tuple[str, ...]:
-    """The models, which are the same in every scan."""
+    """Check that the models are the same in every scan, and return them."""
     if not scans:
         raise ConfigError("reconstruction: got no scans, expected at least one")
     models = tuple(scans[0].estimates_deg)

@@ -1,4 +1,4 @@
-"""A reconstruction as pieces of a report: tables beside the paper's numbers, and figures."""
+"""Pieces of a report on a reconstruction: tables with the paper's numbers, and figures."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ _DEPENDENCE = (
 
 @dataclass(frozen=True)
 class PrintedValue:
-    """A number of the paper.
+    """Number of the paper.
 
     Attributes:
         mark: `PRINTED`, or `INFERRED` where it was worked out from printed ones.
@@ -96,7 +96,7 @@ def paper_section(model: str) -> str:
 
 
 def error_rows(result: Reconstruction) -> list[list[str]]:
-    """A row for every pattern and model, then for the section of pattern I at 45 deg where it was scanned."""
+    """Rows of errors for every pattern and model, then for the section of pattern I at 45 deg if it was scanned."""
     rows = [
         [f"{pattern}", model, *_figures(result.summary(model, result.in_pattern(pattern))), paper_error(model, pattern)]
         for pattern in result.patterns
@@ -110,7 +110,7 @@ def error_rows(result: Reconstruction) -> list[list[str]]:
 
 
 def rank_test_rows(result: Reconstruction) -> list[list[str]]:
-    """A row for every Mann-Whitney test; the ratio is that of the mean errors in the pattern."""
+    """Rows of every Mann-Whitney test; the ratio is that of the mean errors in the pattern."""
     rows = []
     for test in result.rank_tests:
         inside = result.in_pattern(test.pattern)
@@ -135,12 +135,12 @@ def _has_section(result: Reconstruction) -> bool:
 
 
 def colours(models: Sequence[str]) -> dict[str, str]:
-    """One colour for each model, the same in every figure of a reconstruction."""
+    """Colour of each model, equal in every figure of a reconstruction."""
     return {name: PALETTE[k % (len(PALETTE) - 1)] for k, name in enumerate(models)}
 
 
 def setup_figure(settings: ReconstructionSettings, angles_deg: Sequence[float] = (0.0, 10.0, 20.0, 30.0)) -> Figure:
-    """Cross-section of every pattern with the segment at some angles and its rays."""
+    """Plot of the cross-section of every pattern with the segment at some angles and its rays."""
     segment, patterns = Segment(settings.segment_length_mm), settings.cap.patterns
     with new_figure(7.0, 5.2) as figure:
         row = figure.subplots(1, len(patterns), sharex=True, sharey=True, squeeze=False)[0]
@@ -157,7 +157,7 @@ def setup_figure(settings: ReconstructionSettings, angles_deg: Sequence[float] =
 
 
 def section_figure(result: Reconstruction, rotation_deg: float = 45.0, models: Sequence[str] | None = None) -> Figure:
-    """One scan: the cap, its ground truth and each model's points, and below the errors of all models.
+    """Plot of one scan: the cap, its ground truth and each model's points, and below the errors of all models.
 
     Args:
         rotation_deg: of the scan; S1 Fig. 7d is that of pattern I at 45 [deg].
@@ -184,7 +184,7 @@ def section_figure(result: Reconstruction, rotation_deg: float = 45.0, models: S
 
 
 def error_map_figure(result: Reconstruction, models: Sequence[str] | None = None) -> Figure:
-    """Mean error over rings of 0.5 mm and sectors of a scan, seen along the axis; one colour scale for all models.
+    """Map of the mean error over rings of 0.5 mm and sectors of a scan, along the axis, with one colour scale.
 
     A scan's cell starts at its rotation and ends at the next one's, so that cells fill the patterns.
     """
@@ -211,7 +211,7 @@ def error_map_figure(result: Reconstruction, models: Sequence[str] | None = None
 
 
 def _backbone(length_mm: float, angle_deg: float) -> tuple[Vec, Vec]:
-    """The bent segment: a part s of its length bends by s times the angle."""
+    """Points of the bent segment: a part s of its length bends by s times the angle."""
     part = np.linspace(0.0, 1.0, _BACKBONE_POINTS)
     line = length_mm * part[:, None] * Segment(1.0).tip(part * angle_deg)
     return line[:, 0], line[:, 1]
@@ -224,7 +224,7 @@ def _section_limits(axes: Axes, truth: Vec) -> None:
 
 
 def _in_plane(points: Vec, rotation_deg: float) -> Vec:
-    """Points (..., 3) turned back into the bending plane (..., 2)."""
+    """Points (..., 3) rotated back into the bending plane (..., 2)."""
     phi = math.radians(rotation_deg)
     return np.stack([points[:, 0] * math.cos(phi) + points[:, 1] * math.sin(phi), points[:, 2]], axis=-1)
 
@@ -261,7 +261,7 @@ def _polar_labels(axes: PolarAxes, result: Reconstruction, outermost: float) -> 
 
 
 def reconstruction_pieces(result: Reconstruction, label: str = "simulated") -> tuple[Piece, ...]:
-    """Heading, tables and figures of a reconstruction; `label` says where its numbers come from."""
+    """Heading, tables and figures of a reconstruction; `label` gives the origin of its numbers."""
     sections = [Plot(section_figure(result, rotation), _SECTION_CAPTION) for rotation in _middle_scans(result)]
     tests: list[Piece] = []
     if result.rank_tests:
@@ -296,7 +296,7 @@ def _set_up(result: Reconstruction) -> str:
 
 
 def _middle_scans(result: Reconstruction) -> list[float]:
-    """Of every pattern the scan that is nearest to the middle of its sector, as in S1 Fig. 7d to 7f."""
+    """Scan nearest to the middle of the sector for every pattern, as in S1 Fig. 7d to 7f."""
     cap, found = result.settings.cap, []
     for k, pattern in enumerate(cap.patterns):
         rotations = np.unique(result.rotation_deg[result.pattern == pattern.name])

@@ -1,1 +1,1 @@
-"""The papers' rivals: models and identification methods that only a study uses, as plug-ins of hystmpc."""
+"""Competing models and identification methods of the papers, used only by studies, as plug-ins of hystmpc."""

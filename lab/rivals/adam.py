@@ -1,4 +1,4 @@
-"""Identification by Adam on short windows, as S2 trains its operators, with exact compiled sensitivities."""
+"""Identification by Adam on short windows, the training of operators in S2, with exact compiled sensitivities."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from hystmpc.trials.types import Vec
 
 @dataclass(frozen=True)
 class AdamSettings:
-    """Settings of a fit by Adam, as S2 has them where it says so.
+    """Settings of a fit by Adam, with the values of S2 if printed.
 
     Attributes:
         epochs: greatest number of passes.
@@ -58,7 +58,7 @@ class Windows:
 
 
 class WindowLoss:
-    """Mean square error over windows, each from the state that shows its first measured output.
+    """Mean square error over windows, each from the state that matches its first measured output.
 
     Derivatives are those of the active branch: the switching itself is not differentiated, as S2 detaches it.
     """
@@ -74,7 +74,7 @@ class WindowLoss:
         return loss if np.isfinite(loss) else np.inf
 
     def gradient(self, p: Vec, windows: Windows) -> Vec:
-        """Derivative (P,) of the loss by p."""
+        """Gradient (P,) of the loss by p."""
         start = self._staged.rest_with_slope(windows.commands[:, 0], windows.angles[:, 0], p)
         commands, first = end_to_end(list(windows.commands))
         theta, by_p = self._staged.differentiate(commands, self._dt, *start, p, first=first)
@@ -82,10 +82,10 @@ class WindowLoss:
 
 
 def fit_by_adam(task: ChainTask, settings: AdamSettings, progress: FitProgress | None = None) -> ChainFit:
-    """Adam from the best of the task's starts; the best epoch by the loss over all windows side by side is kept.
+    """Fit by Adam from the best of the task's starts; the epoch with the lowest loss over all windows is kept.
 
-    Parameters stay within their physical bounds. KeyboardInterrupt ends it and keeps the best epoch so far; progress
-    gets the epoch and the root of the best loss.
+    These windows lie side by side. Parameters stay within their physical bounds. KeyboardInterrupt ends the fit and
+    keeps the best epoch so far; progress gets the epoch and the root of the best loss.
     """
     dt, template = check_trial_set(task.trials), task.starts[0]
     pieces = [_counted(trial, settings) for trial in task.trials]
@@ -105,7 +105,7 @@ def fit_by_adam(task: ChainTask, settings: AdamSettings, progress: FitProgress |
 def _descend(
     q: Vec, task: ChainTask, settings: AdamSettings, loss: WindowLoss, tracker: Tracker, pieces: list[Windows]
 ) -> None:
-    """All epochs of Adam with its usual constants (Kingma and Ba, ICLR 2015)."""
+    """Run all epochs of Adam with its usual constants (Kingma and Ba, ICLR 2015)."""
     rng, free = np.random.default_rng(settings.seed), task.free
     scales = free.part(parameter_scales(task.starts[0], task.trials))
     count = settings.windows_per_epoch or sum(p.commands.size for p in pieces) // settings.window
@@ -136,7 +136,7 @@ def parameter_scales(chain: Chain, trials: Sequence[Trial]) -> Vec:
 
 
 def _counted(trial: Trial, settings: AdamSettings) -> Windows:
-    """The part of a trial from which windows are drawn, as one row."""
+    """Part of a trial from which windows are drawn, as one row."""
     first = first_flexure_end(trial) if settings.skip_first_flexure else 0
     if len(trial) - first < settings.window:
         raise FitError(f"{trial.source}: {len(trial) - first} samples count, expected {settings.window} of a window")
@@ -144,7 +144,7 @@ def _counted(trial: Trial, settings: AdamSettings) -> Windows:
 
 
 def _side_by_side(pieces: list[Windows], length: int) -> Windows:
-    """All windows that fit next to one another."""
+    """All consecutive, non-overlapping windows."""
     rows = [[signal[0, a : a + length] for signal in (piece.commands, piece.angles)]
             for piece in pieces for a in range(0, piece.commands.size - length + 1, length)]  # fmt: skip
     commands, angles = (np.ascontiguousarray(np.stack(signals)) for signals in zip(*rows, strict=True))
@@ -152,7 +152,7 @@ def _side_by_side(pieces: list[Windows], length: int) -> Windows:
 
 
 def _draw(pieces: list[Windows], settings: AdamSettings, rng: np.random.Generator) -> Windows:
-    """A batch: a random start in a random trial for each window, as in S2's code."""
+    """Draw a batch: a random start in a random trial for each window, as in S2's code."""
     rows = []
     for k in rng.integers(len(pieces), size=settings.batch):
         piece = pieces[k]

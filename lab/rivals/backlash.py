@@ -1,4 +1,4 @@
-"""The backlash of a hybrid network: fitted to the training trials, and in scaled units."""
+"""Backlash of a hybrid network: fitted to the training trials, and in scaled units."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def fitted_backlash(trials: Sequence[Trial], skip_first_flexure: bool, dead_zone
 
 
 def _fitted(starts: Sequence[Chain], trials: Sequence[Trial], settings: OperatorFitSettings) -> ChainFit:
-    """The fit; stopped by the user, the training that it is part of is to end as well."""
+    """Fit that raises an interruption by the user, so that the surrounding training ends as well."""
     fit = fit_chain(starts, trials, settings)
     if fit.interrupted:
         raise KeyboardInterrupt
@@ -50,7 +50,7 @@ def _fitted(starts: Sequence[Chain], trials: Sequence[Trial], settings: Operator
 
 
 def scaled_operator(operator: Operator, scaling: Scaling) -> Operator:
-    """The same operator between scaled input and scaled output.
+    """Same operator between scaled input and scaled output.
 
     A line theta = m (u + c) reads y = m' (v + c') with m' = m u_scale / theta_scale and
     c' = (u_offset + c) / u_scale - theta_offset / (m u_scale); the inverse's line u = theta / m - c with

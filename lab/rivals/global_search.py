@@ -48,10 +48,9 @@ class GlobalSettings:
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """Where to search, over the free parameters (Q,).
+    """Search region over the free parameters (Q,).
 
     Attributes:
-        lower, upper: ends of the box.
         first_lower, first_upper: ends of the part of it in which the search begins.
         start: a point to begin at, for searches that begin at one.
     """
@@ -90,7 +89,7 @@ def fit_globally(
 
 
 def evolve(tracker: Tracker, region: Region, settings: GlobalSettings) -> None:
-    """Differential evolution from a Latin hypercube: best/1/bin with dithered mutation, no starting point known to it.
+    """Differential evolution from a Latin hypercube: best/1/bin with dithered mutation, without a starting point.
 
     Source: Storn and Price, J. Global Optim. 11 (1997).
     """
@@ -116,7 +115,7 @@ def evolve(tracker: Tracker, region: Region, settings: GlobalSettings) -> None:
 
 
 def _polished(found: ChainFit, task: ChainTask, settings: GlobalSettings) -> ChainFit:
-    """The bounded least-squares fit from there, if it is better."""
+    """Bounded least-squares fit from the given point, if it is better."""
     polish = OperatorFitSettings(settings.skip_first_flexure, restarts=0, seed=settings.seed)
     fit = fit_chain([found.chain], task.trials, polish, fixed=task.fixed)
     evaluations = found.evaluations + fit.evaluations
@@ -129,7 +128,7 @@ SPREAD = 0.25  # first standard deviation, as a share of the box
 
 
 def adapt(tracker: Tracker, region: Region, settings: GlobalSettings) -> None:
-    """Covariance matrix adaptation over the box scaled to one, from the start; once settled, from a random point.
+    """Covariance matrix adaptation over the box scaled to one, from the start; restarts at a random point.
 
     Source: Hansen, arXiv 1604.00772.
     """

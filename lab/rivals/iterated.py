@@ -1,4 +1,4 @@
-"""Iterated least squares for the backlash of four parameters."""
+"""Iterated least squares for the backlash with four parameters."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class IteratedSettings:
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Normalised command, angle, and angle one sample before, of all samples that count (N,)."""
+    """Normalised command, angle, and angle one sample before, of all counted samples (N,)."""
 
     u: Vec
     y: Vec
@@ -63,13 +63,13 @@ class Frame:
     y_scale: float
 
     def to_units(self, lines: Vec) -> Vec:
-        """Lines (m_lo, m_up, c_lo, c_up) of normalised signals in deg/cmd and cmd: the same lines through 0, 0."""
+        """Lines (m_lo, m_up, c_lo, c_up) of normalised signals, converted to deg/cmd and cmd."""
         slopes = lines[:2] * self.y_scale / self.u_scale
         return np.concatenate([slopes, self.y / slopes - self.u + lines[2:] * self.u_scale])
 
 
 def fit_by_iteration(task: ChainTask, settings: IteratedSettings, progress: FitProgress | None = None) -> ChainFit:
-    """Assign samples to lines by the lines as they are, regress the lines from the samples, and so on.
+    """Alternate between assigning samples to lines and regressing the lines from their samples.
 
     f1 = [u_k <= y_{k-1} / m_lo - c_lo],  f2 = [u_k >= y_{k-1} / m_up - c_up]
     y_k = m_lo (u_k + c_lo) f1 + m_up (u_k + c_up) f2 + y_{k-1} (1 - f1) (1 - f2)
@@ -114,7 +114,7 @@ def _frame(trials: tuple[Trial, ...]) -> Frame:
 
 
 def _samples(runs: Sequence[Run], frame: Frame, own: Sequence[Vec] | None) -> Samples:
-    """Normalised samples that count; `own` has the free runs whose angle is to be the last one."""
+    """Normalised counted samples; `own` has the free runs that give the previous angle."""
     parts = []
     for k, run in enumerate(runs):
         last = run.angle if own is None else own[k]

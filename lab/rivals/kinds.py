@@ -1,4 +1,4 @@
-"""The papers' models that only a study uses, as kinds of `hystmpc fit`: FNN, hybrids, support vectors.
+"""Models of the papers used only by studies, as kinds of `hystmpc fit`: FNN, hybrids, support vectors.
 
 Sources: S2 (Wu et al., RA-L 2024) sections III-B and III-D, S1 (Wu et al., RA-L 2021) section II-C.
 """
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 class FeedForwardSettings(FormSettings):
-    """ReLU layers over the present input and its past, see `FeedForwardNet`.
+    """Settings of ReLU layers over the present input and its past, see `FeedForwardNet`.
 
     Attributes:
         hidden: widths of the layers; S2 (RA-L 2024) has two of 64.
@@ -46,7 +46,7 @@ class FeedForwardSettings(FormSettings):
 
     @property
     def context(self) -> int:
-        """Samples before the present one."""
+        """Number of samples before the present one."""
         return self.history - 1
 
     def network(self, facts: DeviceFacts) -> Network:
@@ -56,7 +56,7 @@ class FeedForwardSettings(FormSettings):
 
 
 class HybridSettings(CellSettings):
-    """An LSTM with a backlash that is fitted by least squares beforehand, see `SerialNet` and `ParallelNet`.
+    """Settings of an LSTM with a backlash fitted by least squares beforehand, see `SerialNet` and `ParallelNet`.
 
     Attributes:
         head_gain: factor on the initial weights of the LSTM's head; small, training starts from the backlash itself.

@@ -1,4 +1,4 @@
-"""The papers' ways to identify an operator, and global searches, as trainings of `hystmpc fit`."""
+"""Identification methods of the papers, and global searches, as trainings of `hystmpc fit`."""
 
 from __future__ import annotations
 

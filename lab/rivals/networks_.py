@@ -1,4 +1,4 @@
-"""The networks of S2 (RA-L 2024): feed-forward over one command or a window, hybrids of an LSTM and a backlash."""
+"""Networks of S2 (RA-L 2024): feed-forward over one command or a window, hybrids of an LSTM and a backlash."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from hystmpc.trials.types import Vec
 
 @final
 class FeedForwardNet(Network):
-    """y_k = W_n relu(... relu(W_1 [v_{k-n+1}, ..., v_k] + b_1) ...) + b_n, FNN and FNN-HIB.
+    """Feed-forward network y_k = W_n relu(... relu(W_1 [v_{k-n+1}, ..., v_k] + b_1) ...) + b_n, FNN and FNN-HIB.
 
     Source: S2 (RA-L 2024) section III-B.
 
@@ -34,7 +34,6 @@ class FeedForwardNet(Network):
     the contract has at least one entry.
 
     Args:
-        hidden: widths of the layers.
         history: n.
         rest: scaled input with which the buffer is filled at the start (S2 pads with u = 0 or theta = 30 deg).
     """
@@ -100,7 +99,7 @@ class OperatorStep:
 
 
 def operator_step(operator: Operator, dt: float = 1.0) -> OperatorStep:
-    """The step of an operator of this structure; `dt` [s] matters to those that know a rate.
+    """Step of an operator of this structure; `dt` [s] matters for rate-dependent ones.
 
     An operator whose state at rest follows from its output alone (a backlash) has just that state. One that has to
     see its first input (the inverse backlash, which compares inputs) gets two further entries, the output that was
@@ -126,7 +125,7 @@ _DECORATOR = '@njit(cache=True, error_model="numpy", inline="never")\n'
 
 @final
 class OperatorLayer:
-    """The recursion of an `OperatorStep` over a sequence, with parameters that may change from sample to sample.
+    """Recursion of an `OperatorStep` over a sequence, with parameters that may change from sample to sample.
 
     A sequence in PyTorch's own operations costs a dozen of them a sample; the compiled one is free beside a network.
     Derivatives are those of the active branch: step functions have none (S2 section III-C).
@@ -138,7 +137,7 @@ class OperatorLayer:
         self._offset, self._slope = torch.tensor(step.offset), torch.tensor(step.slope)
 
     def start(self, y: torch.Tensor) -> torch.Tensor:
-        """States (N, S) that show outputs y (N,)."""
+        """States (N, S) that match outputs y (N,)."""
         return self._offset.to(y) + self._slope.to(y) * y[:, None]
 
     def __call__(self, u: torch.Tensor, p: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -203,7 +202,7 @@ STEERED = 4  # m_lo, m_up, c_lo, c_up
 
 
 class Hybrid(Network):
-    """An LSTM and an operator; the state is [LSTM state, operator state].
+    """Hybrid of an LSTM and an operator; the state is [LSTM state, operator state].
 
     Args:
         lstm: with `outputs` outputs.
@@ -260,7 +259,7 @@ class Hybrid(Network):
 
 @final
 class SerialNet(Hybrid):
-    """HB1: an LSTM gives the four parameters of a backlash at every sample (S2 eq. (6)).
+    """Serial hybrid HB1: an LSTM gives the four parameters of a backlash at every sample (S2 eq. (6)).
 
         (m_lo, m_up, c_lo, c_up)_k = LSTM(v_1 ... v_k),  y_k = backlash(v_k, y_{k-1}; (m_lo, m_up, c_lo, c_up)_k)
 
@@ -294,7 +293,7 @@ class SerialNet(Hybrid):
 
 @final
 class ParallelNet(Hybrid):
-    """HB2: a fixed backlash, fitted beforehand, and an LSTM that learns what it leaves (S2 eq. (7)).
+    """Parallel hybrid HB2: a fixed backlash, fitted beforehand, and an LSTM for its residual (S2 eq. (7)).
 
         y_k = backlash(v_k, b_{k-1}) + LSTM(v_1 ... v_k),  b_k the backlash's own output
 
@@ -315,7 +314,7 @@ class ParallelNet(Hybrid):
         return main + rest, torch.cat([memory, held], dim=1)
 
     def shown(self, v: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-        """Output of the backlash: it runs over whole trials, of which a window is a part."""
+        """Output of the backlash, which runs over whole trials that contain the windows."""
         return self._backlash(v, self.layer.start(y[:, 0]))[0]
 
     def write(self, writer: GraphWriter, v: str, state: str) -> tuple[str, list[str]]:
@@ -328,6 +327,6 @@ class ParallelNet(Hybrid):
 
 
 def _batched(writer: GraphWriter, constant: str, v: str) -> str:
-    """A constant as a column (N, 1), as many rows as `v`."""
+    """Constant as a column (N, 1) with as many rows as `v`."""
     zero = writer.weight("zero", [[0.0]])
     return writer.node("Add", [writer.node("Mul", [v, zero], f"{constant}_rows"), constant], f"{constant}_column")

@@ -1,4 +1,4 @@
-"""Loops around a generated operator. This file's text is compiled behind the generated functions, never imported.
+"""Loops around a generated operator; this text is compiled after the generated functions, never imported.
 
 The generated functions, on flat float64 arrays (state x, input u (1,), parameters p, numbers k):
 
@@ -17,7 +17,7 @@ from hystmpc.models.kernels.numba_ import njit
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def run(states, u, p, y, k):
-    """N rows of T samples: states (N, T + 1, S), whose first sample is given, and y (N, T) are filled.
+    """Compute N rows of T samples: fill states (N, T + 1, S), whose first sample is given, and y (N, T).
 
     u (N, T), p (N, T, P).
     """
@@ -28,8 +28,9 @@ def run(states, u, p, y, k):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def pull_back(states, u, p, by_y, by_state, by_u, by_p, k):
-    """Reverse sensitivity: given the loss by y (N, T) and by the last state (N, S), fill it by u (N, T), by p
-    (N, T, P) and, in place of the last, by the first state.
+    """Reverse sensitivity from the loss by y (N, T) and by the last state (N, S).
+
+    Fills the derivatives by u (N, T), by p (N, T, P) and, in place of the last state's, by the first state.
     """
     size, count = states.shape[2], p.shape[2]
     a, b, c, d = np.empty(size * size), np.empty(size), np.empty(size), np.empty(1)

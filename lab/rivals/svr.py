@@ -67,7 +67,7 @@ class SvrWeights:
 
     @property
     def lags(self) -> int:
-        """Commands L in a window, the present one included."""
+        """Number L of commands in a window, the present one included."""
         return self.supports.shape[1]
 
     @property
@@ -85,14 +85,12 @@ class SvrStep(StepFunction):
         self.state_size = weights.state_size
 
     def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
-        """Angles (N, 1) [deg] and next states (N, S) from states (N, S) and commands (N, 1)."""
         w = self.weights
         commands = np.hstack([state, u])
         y = np.array([self._kernels(row[:: w.stride]) @ w.coefficients for row in commands])[:, None] + w.bias
         return w.theta_offset + w.theta_scale * y, commands[:, 1:]
 
     def jacobian(self, state: Vec, u: float) -> Vec:
-        """Derivative of (theta, next state) by (state, u) at one point, shape (1 + S, S + 1)."""
         w = self.weights
         commands = np.append(state, u)[:: w.stride]
         weighted = w.coefficients * self._kernels(commands)

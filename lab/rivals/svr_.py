@@ -30,7 +30,7 @@ Count = Annotated[int, Field(ge=1)]
 
 
 class SvrSettings(Settings):
-    """How a support-vector regression is identified; see `SvrWeights` and `fit_svr`.
+    """Settings of the identification of a support-vector regression; see `SvrWeights` and `fit_svr`.
 
     Commands and angles are scaled so that the trained ranges become -1 to 1; `epsilon` is in the unit of that angle.
 
@@ -82,7 +82,7 @@ SVR_TRAININGS: Mapping[str, SvrSettings] = {
 
 @dataclass(frozen=True)
 class SvrChoice:
-    """One combination that is compared."""
+    """Combination of settings in the comparison."""
 
     c: float
     gamma: float
@@ -91,14 +91,12 @@ class SvrChoice:
 
 @dataclass(frozen=True, eq=False)
 class SvrFit:
-    """An identified support-vector regression.
+    """Identified support-vector regression.
 
     Attributes:
-        weights: the model.
         choice: the combination with the least error on what was left out.
         judged: that error, root mean square, of every combination compared [unit of the output].
         rmse: of the final model on its own samples [unit of the output].
-        samples: samples it was fitted to.
         interrupted: stopped by the user; the best choice so far.
     """
 
@@ -112,14 +110,14 @@ class SvrFit:
 
 @dataclass(frozen=True, eq=False)
 class _Samples:
-    """Scaled windows (T, L), scaled angles (T,), and the trial that each is from (T,)."""
+    """Scaled windows (T, L), scaled angles (T,), and the trial number of each (T,)."""
 
     windows: Vec
     angles: Vec
     trials: Index
 
     def drawn(self, count: int, rng: np.random.Generator) -> _Samples:
-        """At most `count` of them, in order."""
+        """Random subset of at most `count` samples, in order."""
         if count >= self.angles.size:
             return self
         kept = np.sort(rng.choice(self.angles.size, count, replace=False))
@@ -132,11 +130,10 @@ def fit_svr(
     skip_first_flexure: bool = False,
     progress: FitProgress | None = None,
 ) -> SvrFit:
-    """Identify a support-vector regression; before its first command a trial is taken to have been at rest.
+    """Identify a support-vector regression; each trial is assumed to be at rest before its first command.
 
     Args:
         trials: uniformly sampled at one rate, in one unit; swapped ones give an inverse map.
-        settings: see `SvrSettings`.
         skip_first_flexure: leave out each trial up to the first reversal of its command.
         progress: called with the fits so far and the least error; KeyboardInterrupt keeps the best choice.
     """
@@ -169,7 +166,7 @@ def fit_svr(
 
 
 def svr_bundle(fit: SvrFit, trials: Sequence[Trial], settings: SvrSettings, limits: DeviceLimits) -> ExportBundle:
-    """Graph, facts, reference and probe of a support-vector regression, ready for `export_onnx`.
+    """Graph, facts, reference and probe of a support-vector regression for `export_onnx`.
 
     Fresh and conditioned devices start alike: a window forgets what is older, and the warm-up fills it.
     """
@@ -209,12 +206,11 @@ def _samples(trials: Sequence[Trial], settings: SvrSettings, skip_first_flexure:
 
 
 def _scaled(values: Vec, bounds: Range) -> Vec:
-    """The range becomes -1 to 1."""
+    """Values scaled so that the range becomes -1 to 1."""
     return (2 * values - bounds.lower - bounds.upper) / (bounds.upper - bounds.lower)
 
 
 def _folds(samples: _Samples, settings: SvrSettings, rng: np.random.Generator) -> list[NDArray[np.bool_]]:
-    """Masks of what is left out."""
     count = settings.folds
     numbers = np.unique(samples.trials)
     if settings.by_trial and numbers.size > 1:

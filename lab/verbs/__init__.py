@@ -1,4 +1,4 @@
-"""The verbs that the laboratory adds to the program `hystmpc`."""
+"""Verbs of the laboratory for the program `hystmpc`."""
 
 from collections.abc import Mapping
 from types import MappingProxyType

@@ -1,4 +1,4 @@
-"""`hystmpc bench`: how fast is this machine's hystmpc beside its peers and its limit?"""
+"""Verb `hystmpc bench`: speed of hystmpc on this machine compared with its peers and its limit."""
 
 from __future__ import annotations
 

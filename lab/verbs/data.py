@@ -1,4 +1,4 @@
-"""`hystmpc data make`: the papers' data sets on the simulated devices."""
+"""Verb `hystmpc data make`: the papers' data sets on the simulated devices."""
 
 from __future__ import annotations
 

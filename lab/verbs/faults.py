@@ -1,4 +1,4 @@
-"""`hystmpc faults`: the fault campaigns, over real connections or on devices that are computed, as a table."""
+"""Verb `hystmpc faults`: the fault campaigns, over real connections or on simulated devices, as a table."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ class Verdict(Protocol):
 
     @property
     def name(self) -> str:
-        """Of the case."""
+        """Name of the case."""
         ...
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """What is not as it has to be."""
+        """Violated requirements, in words."""
         ...
 
 
@@ -119,11 +119,7 @@ def _told(
     columns: Sequence[str],
     row: Callable[[V], tuple[str, list[str], str]],
 ) -> tuple[list[V], int]:
-    """The verdicts and how many failed: a bar meanwhile, then the table, what the user sees, and the failures.
-
-    Args:
-        row: of a verdict its place, the cells after its name, and the words that the user sees.
-    """
+    """Print the verdicts with a progress bar, messages and failures; return them with the number of failures."""
     verdicts: list[V] = []
     try:
         with bar("faults", count) as show:
@@ -157,7 +153,7 @@ def _device_row(v: DeviceVerdict) -> tuple[str, list[str], str]:
 
 
 def _check(devices: bool, mover: list[str] | None, transport: str | None, backend: str | None) -> None:
-    """Refuse a call that says something that would do nothing."""
+    """Refuse a call with an option that has no effect."""
     if devices and (transport or backend):
         raise ConfigError("--devices: got --transport or --backend, expected neither: its wires are its own")
     if mover and not devices:
@@ -165,11 +161,7 @@ def _check(devices: bool, mover: list[str] | None, transport: str | None, backen
 
 
 def _over_wires(folder: Path, only: list[str], transport: str, backend: str) -> list[_Play]:
-    """The cases to play, in a folder that is new or empty.
-
-    Raises:
-        ConfigError: on an unknown case, a wire whose package is missing, or a folder that is not empty.
-    """
+    """Cases to play, in a folder that is new or empty; `ConfigError` on an unknown case or an unavailable wire."""
     from hystmpc.rig.transports.dds import require_dds
 
     from ..faults.cases import KINDS, Link
@@ -197,7 +189,7 @@ def _over_wires(folder: Path, only: list[str], transport: str, backend: str) -> 
 
 
 def _judged(plays: list[_Play], jobs: int) -> Iterator[FaultVerdict]:
-    """The verdicts, in the order of the cases; on an interruption the cases under way come to their end."""
+    """Verdicts in the order of the cases; an interruption waits for the cases in progress."""
     from ..faults.judge import judge
     from ..faults.play import play
 
@@ -215,11 +207,7 @@ def _judged(plays: list[_Play], jobs: int) -> Iterator[FaultVerdict]:
 
 
 def _of_devices(only: Sequence[str], movers: Sequence[str]) -> tuple[DevicePlay, ...]:
-    """The plays of devices.
-
-    Raises:
-        ConfigError: on an unknown device or mover.
-    """
+    """Plays of devices; `ConfigError` on an unknown device or mover."""
     from ..faults.devices import device_cases, device_plays
     from ..faults.truth import MOVERS
 

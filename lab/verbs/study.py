@@ -1,4 +1,4 @@
-"""`hystmpc study`: the jobs of one of the studies, its bars, and what failed."""
+"""Verb `hystmpc study`: the jobs of one of the studies, its bars, and its failures."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class Name(StrEnum):
-    """The studies there are."""
+    """Names of the studies."""
 
     S1 = "s1"
     S2 = "s2"
@@ -88,10 +88,7 @@ def study(
     data: Annotated[Path | None, typer.Option(help="Of `public`: file or folder to fit. Of `kinds`: devices.")] = None,
     test: Annotated[list[Path] | None, typer.Option(help="Of `public`: further test file, repeatable.")] = None,
 ) -> None:
-    """Do all jobs of a study and write its report.
-
-    Ctrl-C keeps what is done.
-    """
+    """Do all jobs of a study and write its report. Ctrl-C keeps what is done."""
     workers = jobs or os.cpu_count() or 1
     given: dict[str, Any] = {"logs": [str(log) for log in logs or []], "epochs_scale": epochs_scale}
     given |= {"kinds": _names(kinds), "presets": _names(presets), "directions": _names(directions)}
@@ -119,11 +116,7 @@ def study(
 
 
 def _used(name: Name, given: Mapping[str, Any]) -> dict[str, Any]:
-    """The options of a study.
-
-    Raises:
-        ConfigError: on one that it has no use for.
-    """
+    """Options of a study; `ConfigError` on one without an effect."""
     for option, value in given.items():
         if option not in _OPTIONS[name] and value not in (None, (), []):
             unused = option.removesuffix("_hz").replace("_", "-")
@@ -132,18 +125,14 @@ def _used(name: Name, given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _listed(name: str) -> Study[Any, Any, Any]:
-    """A study by its name, imported when it is asked for: its libraries are slow to load."""
+    """Study of that name, imported on demand, since its libraries are slow to load."""
     if name in _PAPERS:
         return cast("Study[Any, Any, Any]", import_module("hystmpc_lab.papers.study").STUDIES[name])
     return cast("Study[Any, Any, Any]", import_module(f"hystmpc_lab.{name}.study").STUDY)
 
 
 def _completed(begun: BegunStudy[Any, Any, Any], name: str, workers: int) -> Outcome[Any, Any]:
-    """Do the open jobs of a study: the time it will take, a bar with the time left, and what failed.
-
-    Raises:
-        typer.Exit: with 130 if the user ended it.
-    """
+    """Execute the open jobs of a study with a progress bar, and report failures; Ctrl-C exits with code 130."""
     minutes = begun.minutes(workers)
     errors.print(f"{len(begun.costs)} of {len(begun.jobs)} jobs to do on {workers} cores: about {minutes} min")
     try:
@@ -159,11 +148,7 @@ def _completed(begun: BegunStudy[Any, Any, Any], name: str, workers: int) -> Out
 
 
 def _over_devices(changes: dict[str, Any], folder: Path, workers: int) -> None:
-    """The study on the logs of each device in a separate folder, then the tables over all devices.
-
-    Raises:
-        ConfigError: without a list of devices, or with a wrong one; if a folder holds something else.
-    """
+    """Execute the study on the logs of each device in a separate folder, then write the tables over all devices."""
     from ..papers.real import device_settings, kinds_report
 
     file = changes.pop("data")
@@ -191,11 +176,6 @@ def _show(one: StudyTable, digits: int) -> None:
 
 
 def _rates(text: str | None) -> tuple[float, ...]:
-    """Rates between commas [Hz].
-
-    Raises:
-        ConfigError: if one is not a number.
-    """
     numbers = []
     for part in _names(text):
         try:
@@ -206,5 +186,4 @@ def _rates(text: str | None) -> tuple[float, ...]:
 
 
 def _names(text: str | None) -> tuple[str, ...]:
-    """Names between commas."""
     return tuple(name.strip() for name in (text or "").split(",") if name.strip())

@@ -1,1 +1,1 @@
-"""`realtime.backend: c`: the controller of a run as C, and over UDP the whole sample."""
+"""C backend of a run (`realtime.backend: c`): the compiled controller and, over UDP, the control loop in C."""

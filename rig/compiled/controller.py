@@ -1,4 +1,4 @@
-"""`realtime.backend: c`: controller and control loop in C, compiled; Python reads the results of their samples."""
+"""Controller and control loop compiled from C (`realtime.backend: c`); Python reads the results of each sample."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ from ..transports.transport import Transport
 # In the order of the header's HYSTMPC_MPC ... HYSTMPC_STOP.
 _SOURCES = (Source.MPC, Source.CONTROLLER, Source.SHIFTED_PLAN, Source.INVERSE, Source.HOLD, Source.STOP)
 _FEEDBACK = 1
-_CHECKED, _SAME = 24, 1e-6  # steps in which the C is compared with the Python; by how much they may differ [mm or bar]
+_CHECKED, _SAME = 24, 1e-6  # compared steps; tolerance [mm or bar]
 _SWING_DEG = 4.0
-_ODD = {7: np.nan, 8: np.nan, 15: 1e9}  # angles of the check that no device measures [deg]
+_ODD = {7: np.nan, 8: np.nan, 15: 1e9}  # invalid angles in the check [deg]
 
 # By the header's HYSTMPC_OK ... HYSTMPC_NO_TIME; `{...}` are filled in.
 _REASONS = (
@@ -61,15 +61,14 @@ _REASONS = (
 def compiled_controller(
     controller: GuardedController[Any], settings: TipSettings, spin_s: float = 0.0
 ) -> CompiledController:
-    """Export, compile and check the controller of the settings as C.
+    """Export the controller of the settings as C, compile it and compare it with the Python controller.
 
     Args:
-        controller: the same in Python.
-        spin_s: of its loop, as `RealtimeSettings.spin_s`.
+        spin_s: as `RealtimeSettings.spin_s`.
 
     Raises:
-        ConfigError: if a part of it has no C, there is no compiler, the compiler fails, or what it made answers
-            otherwise than the Python.
+        ConfigError: if a part of the controller has no C export, there is no compiler, the compiler fails, or the
+            compiled controller answers otherwise than the Python one.
     """
     try:
         export = export_controller(settings)
@@ -88,10 +87,7 @@ def compiled_controller(
 
 
 def _difference(python: GuardedController[Any], compiled: CompiledController) -> str:
-    """First difference between the controllers in Python and C over some steps from rest; empty without one.
-
-    The reference rises and falls, the angle follows as predicted, and some samples have none or one far off.
-    """
+    """First difference between the Python and the C controller over some steps from rest; empty if they agree."""
     low = python.limits.lower
     rest = python.init(0.0, low).estimate.angles[0]
     states: list[Any] = [controller.init(rest, low) for controller in (python, compiled)]
@@ -112,16 +108,15 @@ def _difference(python: GuardedController[Any], compiled: CompiledController) ->
 
 @final
 class CompiledController(PlannersController):
-    """A controller compiled from C with the commands, sources and status lines of the Python one; states are snapshots.
+    """Controller compiled from C, with the commands, sources and status lines of the Python controller.
 
-    The estimate contains only the parts that the rig reads: present angle, disturbance, learned part, counts. Of the
-    plan there is the first angle. `refusal` is the reason for which the next steps have no time for a plan, as of
-    `TimelyLaw`.
+    States are snapshots. The estimate contains only the parts that the rig reads: present angle, disturbance, learned
+    part, counts. Of the plan only the first angle is available. `refusal` is the reason for which the next steps have
+    no time for a plan, as in `TimelyLaw`.
 
     Args:
         python: the same controller in Python; it judges whether the start makes sense.
         library: the compiled export, with the loop where the system supports it.
-        fixed: constants of the loop, see `CompiledLoop`.
 
     Attributes:
         loop: steps this controller in C; None on a system without its functions.
@@ -133,7 +128,7 @@ class CompiledController(PlannersController):
         self._python, self._export, self._library = python, export, library
         self._loaded = LoadedController(export, library)
         self._learns = hasattr(self._loaded.view, "learning")
-        self._newest = b""  # what the loaded one remembers
+        self._newest = b""  # memory of the loaded controller
         self._unusable = np.full(self.horizon, np.nan)
         self.refusal = ""
         self.loop: CompiledLoop | None = None
@@ -142,20 +137,13 @@ class CompiledController(PlannersController):
 
     @property
     def dt(self) -> float:
-        """Sample time [s]."""
         return self._python.dt
 
     @property
     def horizon(self) -> int:
-        """Reference samples that `step` looks at."""
         return self._export.reference_samples
 
     def init(self, y: float, u: float) -> GuardedState[bytes]:
-        """State at rest.
-
-        Raises:
-            ControllerError: as `GuardedController.init`.
-        """
         return self._state(self._begun(y, u), FallbackState())
 
     def replay(self, commands: Vec, angles: Vec) -> GuardedState[bytes]:
@@ -172,16 +160,15 @@ class CompiledController(PlannersController):
         return self._state(replayed, FallbackState())
 
     def sigma_deg(self, state: GuardedState[Any]) -> float:
-        """Standard deviation of the error of the estimated angle [deg]; not-a-number where unknown."""
         return self._python.sigma_deg(state)
 
     def sigma_ahead_deg(self, state: GuardedState[Any], commands: Vec) -> Vec:
-        """Not-a-number: the estimated noises stay in the memory of the C."""
+        """Always not-a-number, since the noise estimates stay in the memory of the C code."""
         del state
         return np.full(commands.size, np.nan)
 
     def measure(self, state: GuardedState[Any], y: float, age: float) -> GuardedState[Any]:
-        """Refused: frames of an intermittent sensor have no C.
+        """Always an error: frames of an intermittent sensor are not supported in C.
 
         Raises:
             ControllerError: always.
@@ -189,11 +176,10 @@ class CompiledController(PlannersController):
         return self._python.measure(state, y, age)
 
     def stop(self, state: GuardedState[Any], cause: str) -> GuardedState[Any]:
-        """The state after which every step stops; only a new `init` releases it."""
         return self._python.stop(state, cause)
 
     def step(self, state: GuardedState[bytes], y: float, reference: Vec) -> tuple[Command, GuardedState[bytes]]:
-        """One sample; any `y` and any `reference` are answered."""
+        """Execute one sample; any `y` and any `reference` are answered."""
         watch = Stopwatch()
         try:
             wanted, fault = usable_reference(reference, self.horizon), ""
@@ -220,24 +206,24 @@ class CompiledController(PlannersController):
         return _command(answer.u, answer, status, watch.stages), after
 
     def taken(self, sample: Any, stalled: int, refusal: str) -> Command:
-        """Command of a sample that the loop in C has executed.
+        """Return the command of a sample that the loop in C has executed.
 
         Args:
-            stalled: of the sample before it.
-            refusal: why there was no time for a plan, where there was none.
+            stalled: age of the model state before it [samples].
+            refusal: reason for which there was no time for a plan, empty otherwise.
         """
         status = _line(sample, sample.stalled, sample.level, sample.forecast_error, stalled=stalled, refusal=refusal)
         return _command(sample.wanted, sample, status, {"law": 1e-9 * sample.step_ns})
 
     def after(self, cause: str = "") -> GuardedState[bytes]:
-        """The state after the last step; `cause` is that of a latched stop."""
+        """State after the last step; `cause` is the cause of a latched stop."""
         view = self._loaded.view
         after = self._state(self._loaded, FallbackState(view.failures, bool(view.stopped), cause=cause))
         self._newest = after.memory
         return after
 
     def take_up(self, state: GuardedState[bytes]) -> None:
-        """Set the memory of the C to `state`."""
+        """Load `state` into the memory of the C code."""
         c = self._loaded
         if state.memory is not self._newest:
             c.remember(state.memory)
@@ -247,7 +233,6 @@ class CompiledController(PlannersController):
             c.stop()
 
     def _begun(self, y: float, u: float) -> LoadedController:
-        """New memory of the C, initialised at rest."""
         self._python.init(y, u)
         begun = LoadedController(self._export, self._library)
         if refused := begun.init(y, u):
@@ -284,7 +269,7 @@ def _line(
     stalled: int = 0,
     refusal: str = "",
 ) -> str:
-    """Status line as `GuardedController` writes it for an answer of the C."""
+    """Status line for an answer of the C code, in the form of `GuardedController`."""
     notes = []
     if answer.status:
         reason = _REASONS[answer.status].format(
@@ -318,9 +303,9 @@ _ENDINGS = (
     "controller",
     "command not sent",
 )
-_WATCH_S = 0.002  # between two looks at what was done in C
-_BEHIND_S = 0.05  # how far Python may be behind
-_AHEAD_S, _MOST_AHEAD = 0.25, 2048  # how far the reference is known ahead: time, samples beyond the preview
+_WATCH_S = 0.002  # polling period of the samples done in C
+_BEHIND_S = 0.05  # greatest delay of Python
+_AHEAD_S, _MOST_AHEAD = 0.25, 2048  # extent of the known reference: time, samples beyond the preview
 
 
 def available() -> bool:
@@ -329,14 +314,14 @@ def available() -> bool:
 
 
 def source() -> str:
-    """The C of the loop, which calls the exported controller."""
+    """C source of the loop, which calls the exported controller."""
     sizes = "".join(f"#define {name} {size}\n" for name, size in _SIZES.items())
     return sizes + resources.files("hystmpc.rig.compiled").joinpath("loop.c").read_text(encoding="utf-8")
 
 
 @final
 class CompiledLoop:
-    """Takes samples on the memory of a compiled controller, by a thread that never waits for the interpreter.
+    """Control loop in C on the memory of a compiled controller; its thread never waits for the interpreter.
 
     `view` is the struct `hystmpc_loop` of loop.c. A sample is written whole before it is counted, and its place is
     reused only after Python has read it.
@@ -345,12 +330,11 @@ class CompiledLoop:
         library: the controller's, compiled with `source()`.
         controller: address of the struct that is stepped.
         preview: reference samples of a step.
-        fixed: constant fields of the struct.
     """
 
     def __init__(self, library: Path, controller: int, preview: int, fixed: Mapping[str, float | int]) -> None:
         kind = structs(source(), _SIZES, ctypes.c_double)["hystmpc_loop"]
-        functions = ctypes.CDLL(str(library))  # leaves the interpreter to others while it runs
+        functions = ctypes.CDLL(str(library))  # its calls release the interpreter's lock
         self._run, self._written, size = (functions[f"hystmpc_loop_{name}"] for name in ("run", "written", "bytes"))
         size.restype, self._written.restype = ctypes.c_ulong, ctypes.c_int64
         self._run.argtypes, self._written.argtypes = [ctypes.c_void_p] * 3, [ctypes.c_void_p]
@@ -366,7 +350,7 @@ class CompiledLoop:
         self._ahead = preview + min(max(round(_AHEAD_S / dt_s), 4), _MOST_AHEAD)
 
     def begin(self, numbers: Mapping[str, Any]) -> None:
-        """Initialise the struct, with these fields, for the next sample."""
+        """Initialise the struct with these fields for the next sample."""
         view = self.view
         view.written = view.read = view.asked = view.late = view.skipped = view.unread = view.reason = 0
         self._put(numbers)
@@ -374,12 +358,11 @@ class CompiledLoop:
     def samples(
         self, numbers: Mapping[str, Any], wanted: Callable[[Vec], Vec], end: int, flag: StopFlag
     ) -> Generator[Any]:
-        """Execute samples in C and yield the struct `hystmpc_sample` of each; `view` afterwards has the reason of the
-        end.
+        """Execute samples in C and yield the struct `hystmpc_sample` of each; `view` then holds the reason of the end.
 
         Args:
             numbers: further fields of the struct at present, `steps` among them.
-            wanted: numbers of samples to the angles (N,) wanted at their ends [deg]; where it raises, the loop ends.
+            wanted: numbers of samples to the reference angles (N,) at their ends [deg]; an exception ends the loop.
             end: number of steps after which the loop ends.
             flag: ends the loop at the next sample.
         """
@@ -398,11 +381,11 @@ class CompiledLoop:
                     self._feed(wanted)
                 yield from self._new()
         finally:
-            self.interrupt()  # where nobody looks at the samples any more
+            self.interrupt()  # the samples are no longer consumed
             run.join()
 
     def parts(self, intake: Intake, gate: Gate, transport: Transport) -> dict[str, Any] | None:
-        """Initial state of the sensor checks, the gate and the transport in C; None where one of them has no C."""
+        """Initial state of sensor checks, gate and transport in C; None if one of them is not available in C."""
         judged, limited = intake.numbers(self.view.dt_s, _SIZES["RECENT"]), gate.numbers()
         wire = transport.numbers()
         if judged is None or limited is None or wire is None:
@@ -415,16 +398,16 @@ class CompiledLoop:
         return _ENDINGS[self.view.reason]
 
     def unread(self) -> list[tuple[bytes, int]]:
-        """Bytes and time of receipt [ns] of the readings of the sample that was left to Python."""
+        """Bytes and receipt time [ns] of the readings of the sample that was left to Python."""
         return _received(self.view.pending, self.view.unread)
 
     @staticmethod
     def received(sample: Any) -> list[tuple[bytes, int]]:
-        """Bytes and time of receipt [ns] of the readings of a sample."""
+        """Bytes and receipt time [ns] of the readings of a sample."""
         return _received(sample.reading, sample.readings)
 
     def interrupt(self) -> None:
-        """End at the next sample; by any thread."""
+        """End the loop at the next sample; callable from any thread."""
         self.view.asked = 1
 
     def _put(self, numbers: Mapping[str, Any]) -> None:
@@ -438,7 +421,7 @@ class CompiledLoop:
             view.read = k + 1
 
     def _feed(self, wanted: Callable[[Vec], Vec]) -> None:
-        """Extend the reference in the buffer of the loop; where that fails, the loop ends."""
+        """Extend the reference in the buffer of the loop; a failure ends the loop."""
         view = self.view
         first, last = int(view.fed), min(int(view.steps) + self._ahead, int(view.end) + self._preview + 1)
         missing, whole = last - first, last == view.end + self._preview + 1
@@ -453,13 +436,13 @@ class CompiledLoop:
 
 
 def _received(readings: Any, count: int) -> list[tuple[bytes, int]]:
-    """Bytes and time of receipt [ns] of the first structs `hystmpc_reading`."""
+    """Bytes and receipt time [ns] of the first structs `hystmpc_reading`."""
     return [(bytes(one.data[: one.size]), int(one.received_ns)) for one in readings[:count]]
 
 
 @contextmanager
 def _after_the_loop() -> Iterator[None]:
-    """Lower the priority of this thread below the loop's where both run under SCHED_FIFO."""
+    """Lower the priority of this thread below that of the loop if both run under SCHED_FIFO."""
     if not hasattr(os, "sched_getscheduler") or os.sched_getscheduler(0) != os.SCHED_FIFO:
         yield
         return

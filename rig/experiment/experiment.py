@@ -1,4 +1,4 @@
-"""Controllers as phases: tracking of an experiment's reference after a bumpless transfer, and steering by targets."""
+"""Controllers as phases of a run: tracking of a reference after a bumpless transfer, and steering to targets."""
 
 from __future__ import annotations
 
@@ -58,9 +58,9 @@ def run_experiment(
     transport: Transport | None = None,
     desk: Desk | None = None,
 ) -> BenchResult:
-    """Run the experiment; settings and model are checked before anything moves. Arguments as of `run_bench`.
+    """Run the experiment after a check of settings and model; arguments as of `run_bench`.
 
-    With a desk the run also takes targets; after the first one it continues until somebody ends it.
+    With a desk the run also accepts targets; after the first target it continues until a person ends it.
 
     Raises:
         HystmpcError: of `tracking_phase` and `run_bench`.
@@ -74,7 +74,7 @@ def run_experiment(
 
 
 def tracking_phase(settings: RunSettings, threaded: bool = True, note: Note = lambda text: None) -> Tracking:
-    """Phase that tracks the reference of an experiment; its controller is built, compiled and warmed up.
+    """Build the phase that tracks the reference of an experiment, with its controller compiled and warmed up.
 
     Args:
         threaded: whether the transfer to the controller runs in a thread, see `Tracking`.
@@ -119,7 +119,7 @@ def tracking_phase(settings: RunSettings, threaded: bool = True, note: Note = la
 
 
 def _compiled(settings: RunSettings, assembly: Assembly, tip_settings: TipSettings) -> CompiledController | None:
-    """Controller compiled from C; None for the backend python."""
+    """Controller compiled from C; None for the backend `python`."""
     if settings.realtime.backend == "python":
         return None
     from ..compiled.controller import compiled_controller
@@ -144,7 +144,7 @@ def _fits(settings: RunSettings, assembly: Assembly) -> None:
 
 @final
 class Tracking(Phase):
-    """A `TipController` along a reference, from where preparation has left the device.
+    """Phase in which a `TipController` tracks a reference, starting from the present state of the device.
 
     The controller replays the commands and angles so far, hysteresis included. That takes longer than a sample, so a
     thread does it while the command is held. A sample after a missed deadline is answered by the fallbacks (shifted
@@ -202,7 +202,7 @@ class Tracking(Phase):
         return reach.low_deg, reach.high_deg
 
     def target(self, angle_deg: float) -> Reply:
-        """Move to an angle [deg] and stay there, in place of the reference, until the run is ended; by any thread.
+        """Move to an angle [deg] and hold it instead of the reference, until the end of the run; by any thread.
 
         Raises:
             ControllerError: if the stop is latched.
@@ -224,7 +224,7 @@ class Tracking(Phase):
         self._past = past
 
     def step(self, now: PhaseInput) -> Decision:
-        """Hold while the hand-over lasts, then one step of the controller."""
+        """Hold during the hand-over, then execute one step of the controller."""
         if self._waits(now):
             return Decision(now.held, "hold", "hand-over to the controller")
         if self._failure is not None:
@@ -317,13 +317,12 @@ class Tracking(Phase):
 
     @staticmethod
     def _declare(past: Past, rest_deg: float) -> None:
-        """Set the declared rest angle at the first sample of the history, which has to reach back to the rest."""
+        """Set the declared rest angle at the first sample of the history, which has to start at rest."""
         if len(past.commands) >= REMEMBERED:
             raise ConfigError(f"sensor.rest_deg: got {len(past.commands)} samples since the rest, expected fewer")
         past.angles_deg[:] = [rest_deg, *([math.nan] * (len(past.commands) - 1))]
 
     def _wanted(self, t: Vec) -> Vec:
-        """Reference angles at times `t` [s]."""
         assert self._reference is not None
         return self._reference(t)
 
@@ -346,9 +345,9 @@ class Tracking(Phase):
 
 
 def decision_of(command: Command, due_deg: float, watch: ModelWatch, note: str = "") -> Decision:
-    """Decision from a controller's command; a stop of the controller and a large model error are faults.
+    """Decision from a controller's command; a stop of the controller or a large model error is a fault.
 
-    `due_deg` is the wanted angle at the end of the sample [deg]; `note` is appended to the status.
+    `due_deg` is the reference angle at the end of the sample [deg]; `note` is appended to the status.
     """
     predicted = float(command.predicted[0]) if command.predicted.size else math.nan
     stopped = command.source is Source.STOP
@@ -371,7 +370,7 @@ def model_watch(plausibility: PlausibilitySettings, law: ControllerSettings, dt_
 
 
 def present_angle(tip: TipController) -> float:
-    """Present tip angle as the controller estimates it [deg]; the last measured one without a model."""
+    """Present tip angle as estimated by the controller [deg]; the last measured angle without a model."""
     control = tip.snapshot().control
     assert control is not None
     estimate = control.estimate
@@ -379,12 +378,12 @@ def present_angle(tip: TipController) -> float:
 
 
 class NoTimeError(Exception):
-    """No time for a plan in this sample; caught inside the controller's step."""
+    """Error that marks a sample without time for a plan; caught inside the controller's step."""
 
 
 @final
 class TimelyLaw(Law[Any]):
-    """A control law that fails at once while `refusal` is set, so that the fallbacks answer the sample."""
+    """Control law that fails at once while `refusal` is set, so that the fallbacks answer the sample."""
 
     def __init__(self, law: Law[Any]) -> None:
         self._law = law
@@ -401,21 +400,20 @@ class TimelyLaw(Law[Any]):
 
 
 def make_timely(controller: GuardedController[Any]) -> tuple[GuardedController[Any], TimelyLaw]:
-    """Controller with its law wrapped in a `TimelyLaw`, and that law."""
+    """Wrap the law of a controller in a `TimelyLaw`; return the controller and that law."""
     law = TimelyLaw(controller.law)
     return controller.with_law(law), law
 
 
 @final
 class Steering(Phase):
-    """A `TipController` that starts at rest where the device is, and takes targets at any time, by any thread.
+    """Phase in which a `TipController` starts at rest at the present command and accepts targets by any thread.
 
     It steps as `Tracking` does: samples without a sent command count as holds, a late sample is answered by the
-    fallbacks, and a device that leaves its model is a fault. It never ends by itself.
+    fallbacks, and a large model error is a fault. It has no regular end.
 
     Attributes:
         tip: the controller, for targets, its state and its stop.
-        limits: of the command.
         unit: of the command, mm or bar.
         safe_command: target of a stop; NaN rests in place.
 
@@ -453,7 +451,7 @@ class Steering(Phase):
         self.watch(self._plausibility)
 
     def step(self, now: PhaseInput) -> Decision:
-        """Hold until there is an angle, then one step of the controller."""
+        """Hold until there is an angle, then execute one step of the controller."""
         if not self._started:
             if math.isnan(now.angle_deg):
                 return Decision(now.held, "hold", "waits for an angle")

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class PhaseInput:
-    """Measurements and command state that a phase gets in each sample."""
+    """Measurements and command state given to a phase in each sample."""
 
     angle_deg: float  # measured angle, NaN where none is usable [deg]
     held: float  # the command sent last, or the one that the device was found to hold
@@ -55,13 +55,13 @@ class Decision:
 
 @dataclass(frozen=True, slots=True)
 class Past:
-    """Commands and angles of the run so far, from which a controller starts; (T,) each, copies."""
+    """Commands and angles of the run so far, as the start of a controller; copies of shape (T,) each."""
 
     commands: list[float]
     angles_deg: list[float]
 
     def keep(self, now: PhaseInput, dt_s: float) -> None:
-        """Append a sample; angles of frames go to the samples at which they were taken, or to the first one."""
+        """Append a sample; the angle of a frame is stored at the sample of its exposure, or at the first sample."""
         self.commands.append(now.held)
         self.angles_deg.append(math.nan if now.frames else now.angle_deg)
         place_frames(self.angles_deg, now.frames, dt_s)
@@ -72,35 +72,35 @@ REMEMBERED = 200_000
 
 
 def place_frames(angles: MutableSequence[float], frames: Sequence[ObservedFrame], dt_s: float) -> None:
-    """Write the angles of frames into the samples at which they were taken; the last sample is the present one."""
+    """Write the angles of frames into the samples of their exposure; the last sample is the present one."""
     for frame in frames:
         angles[max(-1 - round(frame.age_s / dt_s), -len(angles))] = frame.angle_deg
 
 
 class Phase(Protocol):
-    """One part of a run. It may raise: the loop then stops safely and reports the error."""
+    """One part of a run. An exception in it leads to a safe stop and is reported."""
 
     name: str  # as logs show it
 
     @property
     def closed_loop(self) -> bool:
-        """Whether a controller moves the device by its angle."""
+        """Whether a controller moves the device by feedback of its angle."""
         return False
 
     def begin(self, now: PhaseInput, past: Past) -> None:
-        """Start from rest at the command held."""
+        """Start the phase from rest at the held command."""
         ...
 
     def step(self, now: PhaseInput) -> Decision:
-        """One sample."""
+        """Execute one sample."""
         ...
 
     def compiled(self) -> CompiledLoop | None:
-        """Compiled loop for the next samples; None where Python has to execute them."""
+        """Compiled loop for the next samples; None if Python has to execute them."""
         return None
 
     def taken_in_c(self, flag: StopFlag) -> Generator[tuple[Any, Decision]]:
-        """Samples executed by the compiled loop until the flag is set, each with its decision."""
+        """Execute samples in the compiled loop until the flag is set, and yield the decision of each."""
         del flag
         yield from ()
 
@@ -119,7 +119,7 @@ class CommandMotion(Phase):
         self._commands, self._k = self._plan(now.held).tolist(), 0
 
     def step(self, now: PhaseInput) -> Decision:
-        """The next command; after skipped samples the motion is late, and no command is left out."""
+        """Next command; skipped samples delay the motion and leave out no command."""
         del now
         u = self._commands[self._k]
         self._k += 1
@@ -128,7 +128,7 @@ class CommandMotion(Phase):
 
 @final
 class AwaitStart(Phase):
-    """Holds the command until a person starts the run; sending it keeps the device's watchdog from acting.
+    """Phase that holds the command until a person starts the run; the commands keep the device's watchdog from acting.
 
     `started` is called once a sample.
     """
@@ -148,7 +148,7 @@ class AwaitStart(Phase):
 
 @final
 class PretensionCheck(Phase):
-    """Ramps the command up and back and checks that the angle exists and moves with it.
+    """Phase that ramps the command up and back and checks that the angle exists and moves with it.
 
     Args:
         commands: held command to the commands (N,) of the way up, and of the way back.
@@ -164,7 +164,7 @@ class PretensionCheck(Phase):
         self._before = self._angle = math.nan
 
     def begin(self, now: PhaseInput, past: Past) -> None:
-        """Compute the commands; the present angle is the angle at rest."""
+        """Compute the commands; the present angle counts as the angle at rest."""
         del past
         up, back = self._plan(now.held)
         self._commands, self._top, self._k = [*up.tolist(), *back.tolist()], up.size, 0
@@ -255,7 +255,7 @@ class SafeStop(Phase):
 
 
 class MoveSettings(Settings):
-    """`step: move`: a ramp to a command.
+    """Preparation step `step: move`: a ramp to a command.
 
     Attributes:
         to: command at the end [mm or bar].
@@ -265,17 +265,19 @@ class MoveSettings(Settings):
     to: float
 
     def phase(self, ramps: RampSettings, dt_s: float) -> Phase:
-        """Phase of this step."""
+        """Build the phase of this step."""
         return CommandMotion("move", lambda held: ramp_commands(held, 0.0, self.to, ramps, dt_s))
 
 
 class FlexureSettings(Settings):
-    """`step: flexure`: to the upper command and back to the lower one, `cycles` times (S2: once, discarded).
+    """Preparation step `step: flexure`: to the upper command and back to the lower one, `cycles` times.
+
+    S2 prescribes one cycle, whose data are discarded.
 
     Attributes:
         lower: command at the end [mm or bar].
         upper: command at the far point [mm or bar].
-        cycles: how often.
+        cycles: number of repetitions.
         hold_s: rest at either point [s].
     """
 
@@ -286,14 +288,14 @@ class FlexureSettings(Settings):
     hold_s: NotNegative = 0.0
 
     def phase(self, ramps: RampSettings, dt_s: float) -> Phase:
-        """Phase of this step."""
+        """Build the phase of this step."""
         stops = [self.upper, self.lower] * self.cycles
         holds = [self.hold_s] * len(stops)
         return CommandMotion("flexure", lambda held: waypoint_commands(held, stops, holds, ramps, dt_s))
 
 
 class RelaxationSettings(Settings):
-    """`step: relaxation`: hold the command while creep dies down.
+    """Preparation step `step: relaxation`: hold the command while creep decays.
 
     Attributes:
         duration_s: how long [s].
@@ -303,12 +305,12 @@ class RelaxationSettings(Settings):
     duration_s: Positive
 
     def phase(self, ramps: RampSettings, dt_s: float) -> Phase:
-        """Phase of this step."""
+        """Build the phase of this step."""
         return CommandMotion("relaxation", lambda held: waypoint_commands(held, [held], [self.duration_s], ramps, dt_s))
 
 
 class PretensionSettings(Settings):
-    """`step: pretension_check`: the angle has to be plausible and to move with the command.
+    """Preparation step `step: pretension_check`: the angle has to be plausible and to move with the command.
 
     Attributes:
         by: how far the command goes, from where it is and back.
@@ -332,7 +334,7 @@ class PretensionSettings(Settings):
         return self
 
     def phase(self, ramps: RampSettings, dt_s: float) -> Phase:
-        """Phase of this step."""
+        """Build the phase of this step."""
         return PretensionCheck(
             lambda held: (
                 waypoint_commands(held, [held + self.by], [self.hold_s], ramps, dt_s),

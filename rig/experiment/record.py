@@ -54,7 +54,7 @@ _BETWEEN_FRAMES = (
 
 
 class Recorded(Phase):
-    """Phase that plays commands (N,) and records the commands sent and reported, and the angles measured.
+    """Phase that plays commands (N,) and records the commands sent and reported, and the measured angles.
 
     An angle belongs to the end of its sample: it is read at the beginning of the next one, so the last command is held
     for one sample more. A frame belongs to the sample at whose end it was taken; the last command is held for `late`
@@ -81,7 +81,7 @@ class Recorded(Phase):
         self._k = self._skipped = 0
 
     def step(self, now: PhaseInput) -> Decision:
-        """Next command; records the angle at the end of the previous one."""
+        """Next command; also records the angle at the end of the previous sample."""
         k = self._k
         self._skipped += now.skipped
         count = len(self._commands)
@@ -98,7 +98,7 @@ class Recorded(Phase):
         return Decision(u, self.name, finished=k >= count + (self._late or 0))
 
     def write(self, folder: Path, unit: str) -> Path | None:
-        """Write the trial as CSV; None without a file where fewer than two angles were measured.
+        """Write the trial as CSV; return None without a file if fewer than two angles were measured.
 
         Samples without an angle are left out; between frames they stay, with an empty cell, for their commands.
         """
@@ -114,7 +114,7 @@ class Recorded(Phase):
         return write_atomically(file, format_table(columns))
 
     def trial(self, unit: str) -> Trial | None:
-        """The samples with an angle; None with fewer than two."""
+        """Trial of the samples with an angle; None with fewer than two."""
         t, u, y = (np.array(values) for values in (self.times, self.sent, self.angles_deg))
         seen = np.isfinite(t) & np.isfinite(y)
         if np.count_nonzero(seen) < _LEAST:
@@ -123,13 +123,13 @@ class Recorded(Phase):
 
     @property
     def whole(self) -> bool:
-        """Whether all commands were played."""
+        """Whether all commands have been played."""
         return math.isfinite(self.times[-1])
 
 
 @dataclass(frozen=True)
 class RecordResult:
-    """Result of a recording."""
+    """Result of a recording: outcome of the run and files written."""
 
     bench: BenchResult  # how it went
     trials: tuple[Path, ...]  # files written, complete ones
@@ -146,10 +146,10 @@ def record(
     transport: Transport | None = None,
     desk: Desk | None = None,
 ) -> RecordResult:
-    """Play every excitation and write `trials/NAME.csv` in canonical columns and a manifest. Arguments as of
-    `run_bench`.
+    """Play every excitation; write `trials/NAME.csv` in canonical columns and a manifest. Arguments as `run_bench`.
 
-    Trials by frames have empty cells between them, which no identification reads: `note` is called with that first.
+    Trials by frames have empty cells, which no identification accepts: `note` is then called
+    with a warning first.
 
     Raises:
         HystmpcError: of any kind, before anything moves; `ConfigError` if an excitation is in another unit or beyond
@@ -187,7 +187,7 @@ def record(
 
 
 def _approach(settings: RecordSettings, start: float, held: float) -> Vec:
-    """Ramp to where an excitation starts, and rest there."""
+    """Ramp to the first command of an excitation, then rest."""
     rest_s = max(settings.settle_s, settings.dt_s)
     return waypoint_commands(held, [start], [rest_s], settings.ramps, settings.dt_s)
 
@@ -205,13 +205,13 @@ def _within(settings: RecordSettings, name: str, commands: Vec) -> None:
 
 
 class TrajectoryExcitation(Settings):
-    """An excitation that is a trajectory of commands in one unit."""
+    """Excitation defined by a trajectory of commands in one unit."""
 
     unit: ClassVar[str]
 
     @abstractmethod
     def trajectory(self) -> Trajectory:
-        """Commands over time."""
+        """Trajectory of the commands over time."""
 
     def commands(self, rate_hz: float, ramps: RampSettings) -> Vec:
         """Commands (N,)."""
@@ -220,7 +220,7 @@ class TrajectoryExcitation(Settings):
 
 
 class S1SinusoidSettings(TrajectoryExcitation):
-    """`kind: s1_sinusoid`: a decaying sinusoid of pressure, S1 eq. (5) (`zero`) or (6) (`raised`) [bar].
+    """Excitation `kind: s1_sinusoid`: a decaying pressure sinusoid [bar], S1 eq. (5) (`zero`) or (6) (`raised`).
 
     Attributes:
         baseline: `zero`: the decaying sinusoid has its lowest points at 0 bar; `raised`: it decays towards 1.5 bar.
@@ -239,7 +239,7 @@ class S1SinusoidSettings(TrajectoryExcitation):
 
 
 class S2SinusoidSettings(TrajectoryExcitation):
-    """`kind: s2_sinusoid`: seven decaying periods of tendon travel, S2 eq. (9), (10) [mm].
+    """Excitation `kind: s2_sinusoid`: seven decaying periods of tendon travel, S2 eq. (9), (10) [mm].
 
     Attributes:
         frequency_hz: of the sinusoid [Hz].
@@ -257,7 +257,7 @@ class S2SinusoidSettings(TrajectoryExcitation):
 
 
 class S2PointToPointSettings(TrajectoryExcitation):
-    """`kind: s2_point_to_point`: ten moves and holds drawn from a seed, S2 eq. (11) [mm].
+    """Excitation `kind: s2_point_to_point`: ten moves and holds drawn from a seed, S2 eq. (11) [mm].
 
     Attributes:
         seed: of the random numbers.
@@ -275,7 +275,7 @@ class S2PointToPointSettings(TrajectoryExcitation):
 
 
 class StopsSettings(Settings):
-    """`kind: ramps`: jerk-limited ramps to commands, each with its hold; the first starts at `start`.
+    """Excitation `kind: ramps`: jerk-limited ramps to commands, each with its hold; the first starts at `start`.
 
     Attributes:
         start: command at the start [mm or bar].
@@ -304,7 +304,9 @@ class StopsSettings(Settings):
 
 
 class MotionFileSettings(Settings):
-    """`kind: file`: columns `time_s` and `command` (or `command_mm`, ...), as `diagnose` writes next_motion.csv.
+    """Excitation `kind: file`: columns `time_s` and `command` (or `command_mm`, ...) of a CSV file.
+
+    `diagnose` writes such a file, next_motion.csv.
 
     Attributes:
         file: its name; a relative name starts at the folder of the configuration.
@@ -315,7 +317,7 @@ class MotionFileSettings(Settings):
 
     @property
     def unit(self) -> str | None:
-        """Unit of the command's column; a bare `command` is in mm, as in every log."""
+        """Unit of the command column; a column `command` without a unit is in mm, as in every log."""
         return CANONICAL.command[_motion_table(self.file)[1]]
 
     def commands(self, rate_hz: float, ramps: RampSettings) -> Vec:
@@ -353,7 +355,7 @@ def _motion_table(path: Path | str) -> tuple[LogTable, str]:
 
 
 class RecordSettings(BenchSettings):
-    """Recordings for identification: `hystmpc record`. Every excitation becomes one trial.
+    """Settings of recordings for identification (`hystmpc record`); every excitation becomes one trial.
 
     Attributes:
         excitations: motions by name, each with its `kind`; each becomes one trial.

@@ -1,4 +1,4 @@
-"""Review of a run: predicted and measured angle, due work, and the page report.html of the run folder."""
+"""Review of a run: predicted and measured angle, recommended work, and the page report.html of the run folder."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _PREPARATION = ("move", "flexure")  # the first flexure differs from all later o
 
 @dataclass(frozen=True, eq=False)
 class ReviewedRun:
-    """A run, one row for each sample (N,): the command of the sample and everything else at its end.
+    """Signals of a run, one row for each sample (N,): the command of the sample, all else at its end.
 
     Attributes:
         measured_deg, reference_deg, predicted_deg: angle measured, wanted, and predicted one sample before [deg].
@@ -56,7 +56,7 @@ class ReviewedRun:
 
 @dataclass(frozen=True)
 class Review:
-    """Assessment of a model by a run: tracking error, prediction errors, and the advice.
+    """Assessment of a model by a run: tracking error, prediction errors, and advice.
 
     Attributes:
         tracking_deg, greatest_deg: RMS and greatest measured minus wanted angle [deg]; NaN without a reference.
@@ -76,7 +76,7 @@ class Review:
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """Tracking error, advice and change, as far as they are known."""
+        """Available lines on tracking error, advice and change."""
         known = math.isfinite(self.tracking_deg)
         tracking = (
             f"tracking error {self.tracking_deg:.2f} deg RMS, {self.greatest_deg:.2f} deg at most" if known else ""
@@ -85,7 +85,7 @@ class Review:
 
 
 def compare_with_model(run: RunFolder, settings: RunSettings) -> ReviewedRun:
-    """Samples of the log with the model's free run.
+    """Compare the samples of the log with the free run of the model.
 
     Raises:
         LogError: if the log lacks a column or is too short.
@@ -119,7 +119,7 @@ def compare_with_model(run: RunFolder, settings: RunSettings) -> ReviewedRun:
 
 
 def review(rows: ReviewedRun, due_above_deg: float) -> Review:
-    """Tracking and prediction errors of a run, and the advice that follows from them.
+    """Compute the tracking and prediction errors of a run, and the advice that follows from them.
 
     The free run r over the commands sent is compared with the measured angle y. Up to `due_above_deg` nothing is due.
     Beyond it, the line y = offset + gain r decides: where it takes the error below the bar the model has the right
@@ -150,7 +150,7 @@ def review(rows: ReviewedRun, due_above_deg: float) -> Review:
 
 
 def _angles_when_taken(log: Mapping[str, Column]) -> Vec:
-    """Angles (N,) [deg] in the rows of the times at which they were taken; NaN in all others."""
+    """Angles (N,) [deg] in the rows of their measurement times; NaN in all other rows."""
     angle = numbers(log, "angle_deg")
     if TAKEN not in log:
         return angle
@@ -176,7 +176,7 @@ def _change(rows: ReviewedRun, free_deg: Vec, measured_deg: Vec) -> str:
 
 
 def _free_run(model: LoadedModel, settings: RunSettings, command: Vec, sequence: NDArray[np.int64], angle: Vec) -> Vec:
-    """The model's angles (N,) at the ends of the samples; commands are held where samples were skipped."""
+    """Model's angles (N,) at the ends of the samples; commands are held over skipped samples."""
     place = sequence - sequence[0]
     row = np.searchsorted(place, np.arange(place[-1] + 1), side="right") - 1
     sent, lag_s = command[row], settings.controller.actuator_lag_s
@@ -187,7 +187,7 @@ def _free_run(model: LoadedModel, settings: RunSettings, command: Vec, sequence:
 
 
 def _lagged(u: Vec, share: float) -> Vec:
-    """Commands after a first-order lag that makes `share` of every step within a sample."""
+    """Commands after a first-order lag that completes `share` of every step within a sample."""
     out, now = np.empty_like(u), float(u[0])
     for k, target in enumerate(u.tolist()):
         now += share * (target - now)
@@ -218,7 +218,7 @@ def _rms(values: Vec) -> float:
 def review_run(folder: Path, more: Sequence[Piece] = ()) -> Review:
     """Review a run folder and write its `trial.csv` (for `fit` and `diagnose`) and `report.html`.
 
-    A run that is too short to be judged gets a report all the same; `more` is shown after the advice.
+    A run that is too short for a review still gets a report; `more` is shown after the advice.
 
     Raises:
         LogError: if the folder holds no readable run.
@@ -247,7 +247,7 @@ def review_run(folder: Path, more: Sequence[Piece] = ()) -> Review:
 def write_page(
     run: RunFolder, settings: RunSettings, rows: ReviewedRun | None, verdict: Review, more: Sequence[Piece] = ()
 ) -> Path:
-    """Write report.html of a run; `rows` is None with too few samples, `more` is shown after the advice."""
+    """Write report.html of a run; `rows` is None with too few samples, `more` follows the advice."""
     timing = _timing(run.path / "timing.json")
     outcome = timing.get("outcome", {})
     pieces: list[Piece] = []

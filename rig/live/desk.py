@@ -49,7 +49,7 @@ class LiveSettings(Settings):
 
 @dataclass(frozen=True)
 class Reply:
-    """Reply of a run to a request: whether it is executed (nothing has changed where not), and one line."""
+    """Reply of a run to a request: whether it is executed, and one line; a refused request changes nothing."""
 
     done: bool
     text: str = ""
@@ -69,7 +69,7 @@ SetTarget = Callable[[float], Reply]
 
 @final
 class Desk:
-    """Executes the requests of a person at the live page: start, stop, emergency stop, targets.
+    """Executor of the requests of a person at the live page: start, stop, emergency stop, targets.
 
     A run reads `flag` and `started` once a sample. Requests come by any thread. An e-stop is never refused.
     """
@@ -84,7 +84,7 @@ class Desk:
 
     @property
     def access(self) -> Access | None:
-        """Access data of the page; None where the page only shows."""
+        """Access data of the page; None for a page without control."""
         return Access(self._token, self._target_deg) if self.settings.control else None
 
     def take_targets(self, set_target: SetTarget, low_deg: float, high_deg: float) -> None:
@@ -92,7 +92,7 @@ class Desk:
         self._set_target, self._target_deg = set_target, (low_deg, high_deg)
 
     def ask(self, action: str, value: float = 0.0) -> Reply:
-        """Execute a request or refuse it with a reason; never raises. `value` is that of a target [deg]."""
+        """Execute a request or refuse it with a reason; never raises. `value` is a target [deg]."""
         if not self.settings.control:
             return Reply(False, "the page only shows this run (live.control is false)")
         if action == "estop":
@@ -128,13 +128,12 @@ _SCHEME = "Bearer "
 
 @final
 class Controls:
-    """Authorises requests to the page and forwards the admitted ones to the run; used by many threads.
+    """Authorisation of requests to the page; admitted requests go to the run. Safe for many threads.
 
     A request is refused without the token, from another site's page, or to a foreign host name. A foreign page can have
-    its own name point here, but not a number, so only numbers and this machine's own names are accepted.
+    its name resolve to this machine, but not a number, so only numbers and this machine's names are accepted.
 
     Args:
-        ask: passes a request to the run.
         host: the name of the page's address, where it is one.
     """
 
@@ -145,11 +144,11 @@ class Controls:
 
     @staticmethod
     def is_estop(path: str) -> bool:
-        """Whether a path is that of the e-stop."""
+        """Whether a path is that of the emergency stop."""
         return _PATHS.get(path) == "estop"
 
     def refusal(self, path: str, headers: Mapping[str, str], body: bytes) -> tuple[HTTPStatus, str] | None:
-        """Reason for refusing a request: a status and one line; None where it is admitted. Never waits."""
+        """Reason for refusing a request: a status and one line; None if it is admitted. Never waits."""
         said = {name.lower(): value for name, value in headers.items()}
         action = _PATHS.get(path)
         if not self._is_ours(said.get("host", "")):
@@ -165,7 +164,7 @@ class Controls:
         return None
 
     def take(self, path: str, headers: Mapping[str, str], body: bytes) -> tuple[HTTPStatus, str]:
-        """HTTP answer to a request with this path, headers (any case) and body: a status and one line.
+        """Answer an HTTP request with this path, headers (any case) and body; wait for the reply of the run.
 
         It waits for the run's answer.
         """
@@ -196,13 +195,12 @@ def _http(said: Reply) -> tuple[HTTPStatus, str]:
 
 
 def _same_origin(said: Mapping[str, str]) -> bool:
-    """Whether no other site's page has made the request; programs name no origin, and need the token alone."""
+    """Whether a request does not come from another site's page; programs send no origin, and need the token alone."""
     origin, site = said.get("origin"), said.get("sec-fetch-site", "same-origin")
     return site == "same-origin" and origin in (None, f"http://{said.get('host', '')}")
 
 
 def _angle(body: bytes) -> float | None:
-    """Angle of a target [deg], None without one."""
     try:
         data = json.loads(body)
     except (ValueError, RecursionError):

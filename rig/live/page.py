@@ -1,4 +1,4 @@
-"""The live page: one HTML file, a stream of server-sent events, and their HTTP server in one thread."""
+"""Live page: one HTML file, a stream of server-sent events, and their HTTP server in one thread."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from ..transports.udp import is_loopback
 from .desk import MOST_BYTES, Controls
 from .state import LiveState, LiveView
 
-_MOST_CLIENTS = 200  # the oldest that is no stream gives way to the next one
+_MOST_CLIENTS = 200  # beyond it, the oldest connection without a stream is closed
 _LEAST_CLIENTS = 16
-_BACKLOG = 1024  # connections that the system keeps until they are looked at; one more would try again after a second
-_AT_ONCE = 64  # connections that are looked at before the requests of those that are there already
+_BACKLOG = 1024  # pending connections in the system; a further one would retry after a second
+_AT_ONCE = 64  # connections accepted in a row before requests are served
 _MOST_STREAMS = 12
-_MOST_REQUESTS = 8  # that carry the token and wait for the run; an e-stop is not counted
+_MOST_REQUESTS = 8  # authorised requests in progress, without e-stops
 _LARGEST_HEAD = 16_384  # bytes of a request before its body
-_ASKS_S = 1.5  # within which a request has to be there
-_TAKES_S = 5.0  # within which an answer has to be taken, and a message of a stream
-_SILENCE_S = 2.0  # after which an idle stream gets a comment, so that a client that left is noticed
+_ASKS_S = 1.5  # time limit for the arrival of a request
+_TAKES_S = 5.0  # time limit for the transfer of an answer or message
+_SILENCE_S = 2.0  # idle time before a comment is sent, which detects lost clients
 _CLOSE_S = 2.0
-_MOST_BEHIND = 65_536  # bytes that may come behind a request; more is no client of the page
-_UNSENT = 65_536  # bytes of a stream that its client has not taken; it gets no further message until it has
-_END = b"event: end\ndata: \n\n"  # else a browser would take the end for a broken connection
+_MOST_BEHIND = 65_536  # greatest number of bytes after a request
+_UNSENT = 65_536  # backlog [bytes] above which a stream gets no further message
+_END = b"event: end\ndata: \n\n"  # otherwise a browser assumes a broken connection
 _SECURE = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
@@ -51,14 +51,14 @@ class BadRequestError(Exception):
 
 @final
 class PageServer:
-    """Serves one page, a stream of messages, and requests to `controls`; without controls the page only shows."""
+    """HTTP server of one page, a stream of messages, and requests to `controls`; None for no remote control."""
 
     def __init__(self, page: bytes, controls: Controls | None) -> None:
         self.page, self.controls = page, controls
         self.latest = b""
         self.allowed: frozenset[str] = frozenset()
-        self.waiting = 0  # requests that a thread has handed to the run
-        self.clients: dict[_Client, None] = {}  # in the order in which they came
+        self.waiting = 0  # requests passed to the run by a thread
+        self.clients: dict[_Client, None] = {}  # in the order of their arrival
         self.streams: set[_Client] = set()
         self._loop = asyncio.new_event_loop()
         self._ended = asyncio.Event()
@@ -73,31 +73,31 @@ class PageServer:
         return str(where[0]), int(where[1])
 
     def publish(self, message: bytes) -> None:
-        """Send a message to every stream without a backlog; by any thread."""
+        """Send a message to every stream without a backlog; callable from any thread."""
         self.latest = b"data: " + message + b"\n\n"
         self.call(self._publish)
 
     def call(self, function: object, *arguments: object) -> None:
-        """Call a function in the server's thread; nothing where it has ended."""
+        """Call a function in the server's thread; no effect after its end."""
         with suppress(RuntimeError):
             self._loop.call_soon_threadsafe(function, *arguments)  # type: ignore[arg-type]
 
     def close(self) -> None:
-        """End the streams and stop listening; a second time does nothing."""
+        """End the streams and stop listening; a second call has no effect."""
         if self._thread.is_alive():
             self.call(self._ended.set)
             self._thread.join(2 * _CLOSE_S)
 
     def admit(self, client: _Client) -> None:
-        """Accept a connection; beyond the limit the oldest idle one is aborted."""
+        """Accept a connection; beyond the limit the oldest idle connection is aborted."""
         self.clients[client] = None
         if len(self.clients) > _most_clients():
             oldest = next((one for one in self.clients if one not in self.streams and not one.asks), client)
-            self.leave(oldest)  # now: it is told later, and the next one that comes needs another place
+            self.leave(oldest)  # at once, since its callback comes later
             oldest.abort()
 
     def leave(self, client: _Client) -> None:
-        """Forget a connection that has ended."""
+        """Remove a connection that has ended."""
         self.clients.pop(client, None)
         self.streams.discard(client)
 
@@ -131,16 +131,14 @@ class PageServer:
 
 @final
 class _Client(asyncio.Protocol):
-    """One connection: one request, and its answer."""
-
     def __init__(self, server: PageServer) -> None:
         self._server = server
         self._got = bytearray()
         self._head: tuple[str, str, dict[str, str]] | None = None  # method, path, headers by name in lower case
         self._length = 0
-        self._behind = 0  # bytes that came after it
+        self._behind = 0  # bytes after the request
         self._answered = False
-        self.asks = False  # the run has been asked
+        self.asks = False  # whether the request was passed to the run
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
@@ -168,15 +166,13 @@ class _Client(asyncio.Protocol):
             self.answer(error.args[0], "")
 
     def abort(self) -> None:
-        """Abort the connection."""
         self._transport.abort()
 
     def answer(self, status: HTTPStatus, text: str) -> None:
-        """Answer with a line of text."""
         self._answer(status, "text/plain; charset=utf-8", text.encode())
 
     def send(self, message: bytes) -> None:
-        """Write to a stream; a client with a backlog is skipped, and ended after a time limit."""
+        """Write to a stream; a client with a backlog is skipped, and disconnected after a time limit."""
         if self._transport.get_write_buffer_size() > _UNSENT // 2:
             return
         self._timer.cancel()
@@ -196,7 +192,7 @@ class _Client(asyncio.Protocol):
         return asyncio.get_running_loop().call_later(seconds, self.abort)
 
     def _complete(self) -> bool:
-        """Whether the whole request is there; `BadRequestError` where it is malformed or too long."""
+        """Whether the whole request has arrived; `BadRequestError` if it is malformed or too long."""
         if self._head is None:
             head, blank, rest = bytes(self._got).partition(b"\r\n\r\n")
             if len(head) > _LARGEST_HEAD:
@@ -214,7 +210,7 @@ class _Client(asyncio.Protocol):
         server = self._server
         if method == "GET":
             if server.allowed and headers.get("host", "").lower() not in server.allowed:
-                # a foreign page that has its own name point here must not read along
+                # a foreign page whose name resolves to this machine must not read the stream
                 self.answer(HTTPStatus.MISDIRECTED_REQUEST, "unknown host")
             elif path == "/":
                 self._answer(HTTPStatus.OK, "text/html; charset=utf-8", server.page)
@@ -228,7 +224,7 @@ class _Client(asyncio.Protocol):
             self._ask(server.controls, path, headers, bytes(self._got[: self._length]))
 
     def _ask(self, controls: Controls, path: str, headers: Mapping[str, str], body: bytes) -> None:
-        """Forward an admitted request to the run in a thread of its own, since the reply may take seconds."""
+        """Forward an admitted request to the run in a separate thread, since the reply may take seconds."""
         server = self._server
         if refused := controls.refusal(path, headers, body):
             self.answer(*refused)
@@ -253,7 +249,7 @@ class _Client(asyncio.Protocol):
         threading.Thread(target=ask, name="hystmpc-page-request", daemon=True).start()
 
     def _watch(self) -> None:
-        """Start a stream, up to the limit of their number."""
+        """Start a stream if the limit on their number allows it."""
         if len(self._server.streams) >= _MOST_STREAMS:
             self.answer(HTTPStatus.SERVICE_UNAVAILABLE, "too many pages are open")
             return
@@ -266,11 +262,7 @@ class _Client(asyncio.Protocol):
 
 
 def _parsed(head: bytes) -> tuple[str, str, dict[str, str]]:
-    """Method, path and headers of a request.
-
-    Raises:
-        BadRequestError: if it is malformed, or repeats a header of identity or length.
-    """
+    """Method, path and headers of a request; `BadRequestError` if malformed or an identity or length is repeated."""
     first, *lines = head.decode("latin-1").split("\r\n")
     words = first.split(" ")
     if len(words) != 3 or not words[2].startswith("HTTP/1."):
@@ -286,11 +278,7 @@ def _parsed(head: bytes) -> tuple[str, str, dict[str, str]]:
 
 
 def _length(headers: Mapping[str, str]) -> int:
-    """Bytes of the body.
-
-    Raises:
-        BadRequestError: if it is not in decimal digits, or exceeds the needs of any request.
-    """
+    """Length of the body [bytes]; `BadRequestError` if it is no decimal number, or larger than any valid request."""
     if "transfer-encoding" in headers:
         raise BadRequestError(HTTPStatus.LENGTH_REQUIRED)
     text = headers.get("content-length", "0")
@@ -308,7 +296,7 @@ def _head(status: HTTPStatus, kind: str, length: int | None) -> bytes:
 
 
 def _most_clients() -> int:
-    """Limit of simultaneous connections: far fewer than the files that this process may open."""
+    """Limit of simultaneous connections, far below the number of files that this process may open."""
     if sys.platform == "win32":
         return _MOST_CLIENTS
     import resource
@@ -318,16 +306,14 @@ def _most_clients() -> int:
 
 
 def _hosts(host: str, port: int) -> frozenset[str]:
-    """Names of a page on the loopback in a browser on this machine; empty for other addresses, where any name is
-    accepted.
-    """
+    """Host names of a page on the loopback; empty for other addresses, for which any name is accepted."""
     names = (host.lower(), "127.0.0.1", "localhost", "[::1]") if is_loopback(host) else ()
     return frozenset(f"{name}:{port}" for name in names)
 
 
 @final
 class LivePage(LiveView):
-    """Live view for browsers; all input but authorised requests to `controls` is ignored.
+    """Live view for browsers; all input except authorised requests to `controls` is ignored.
 
     Args:
         host: address of the page; the loopback, unless others are to see it.
@@ -366,7 +352,6 @@ class LivePage(LiveView):
         return f"http://{host}:{port}/{token}"
 
     def close(self) -> None:
-        """Send the last state and stop listening."""
         super().close()
         self._server.close()
 
@@ -412,7 +397,7 @@ def _number(value: float) -> float | None:
 
 
 def _page(controls: Controls | None) -> str:
-    """The page with its scripts; buttons without an effect are hidden."""
+    """Page with its scripts; buttons without an effect are hidden."""
     here = files("hystmpc.rig.live")
     parts = {"link.js": here.joinpath("link.js"), "zoom.js": files("hystmpc.trials").joinpath("zoom.js")}
     text = here.joinpath("page.html").read_text(encoding="utf-8")

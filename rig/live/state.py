@@ -29,11 +29,9 @@ class LiveState:
     """State of a run for the live views, updated by one thread.
 
     Attributes:
-        last: the newest sample.
         t, reference, angle, command: the last 20 s, decimated, (P,); not-a-number without an angle.
         rms_deg, rate_hz: tracking error and real rate of the loop over these 20 s.
         late, total: histograms of lateness and of the execution time of a sample, since the start.
-        missed: deadlines missed since the start.
         faults, fault_s: samples with each fault since the start, and the time of the last one [s].
         notes: messages from elsewhere, such as an end of the recording.
 
@@ -87,7 +85,7 @@ class LiveState:
 
 
 class LiveView(ThreadedSink):
-    """Shows the state 8 times a second by a thread of its own; an error ends the view, never the run.
+    """Thread that shows the state 8 times a second; an error ends the view, never the run.
 
     Raises:
         ConfigError: if the rate of the loop [Hz] is not positive.
@@ -99,16 +97,15 @@ class LiveView(ThreadedSink):
         self._thread.start()
 
     def tell(self, text: str) -> None:
-        """Show a message, such as an end of the recording."""
+        """Show a message, such as the end of the recording."""
         self._state.notes.append(text)
 
     def close(self) -> None:
-        """Show the last state and end."""
         self._finish(_CLOSE_S)
 
     @abstractmethod
     def _show(self, state: LiveState) -> None:
-        """Draw or publish."""
+        """Draw or publish the state."""
 
     def _turn(self, samples: list[Sample], ending: bool) -> bool:
         del ending

@@ -47,7 +47,7 @@ def limits_of(*curves: Vec, least_span: float) -> tuple[float, float]:
 def raster(t: Vec, y: Vec, low: float, high: float, width: int, height: int) -> NDArray[np.int64]:
     """Braille dots of a curve y (T,) over t (T,) as character codes, (height, width); 0 without a dot.
 
-    Values that are not finite leave a hole. `low` and `high` bound the vertical axis.
+    Values that are not finite leave a gap. `low` and `high` bound the vertical axis.
     """
     cells = np.zeros((height, width), dtype=np.int64)
     known = np.isfinite(y) & np.isfinite(t)
@@ -76,7 +76,7 @@ def curves(fields: list[tuple[NDArray[np.int64], str]]) -> Text:
 
 
 def bar(value: float, low: float, high: float, width: int) -> str:
-    """A value between two limits as a bar of `width` characters, in eighths of a character."""
+    """Text bar of `width` characters for a value between two limits, with a resolution of an eighth of a character."""
     share = min(max((value - low) / max(high - low, 1e-12), 0.0), 1.0) if np.isfinite(value) else 0.0
     eighths = round(share * 8 * width)
     full = "█" * (eighths // 8) + (" ▏▎▍▌▋▊▉"[eighths % 8] if eighths % 8 else "")
@@ -84,7 +84,7 @@ def bar(value: float, low: float, high: float, width: int) -> str:
 
 
 def columns_of(counts: NDArray[np.int64], width: int) -> str:
-    """A histogram as one line of `width` characters; the height is the logarithm of the count."""
+    """Histogram as one line of `width` characters; the height is the logarithm of the count."""
     groups = np.array([part.sum() for part in np.array_split(counts, width)], dtype=np.float64)
     if not groups.any():
         return " " * width
@@ -94,7 +94,7 @@ def columns_of(counts: NDArray[np.int64], width: int) -> str:
 
 @final
 class TerminalView(LiveView):
-    """Draws the state of the run 8 times a second; without a terminal it prints a line every 10 s.
+    """Terminal view of the run, drawn 8 times a second; without a terminal it prints a line every 10 s.
 
     Drawing takes 10 to 30 ms of Python each time, so it belongs into another process than the loop, see
     `open_recorder_process`. `page` is the address of the local page, empty without one.
@@ -114,7 +114,7 @@ class TerminalView(LiveView):
         super().__init__(rate_hz)
 
     def close(self) -> None:
-        """Leave the last state on the screen."""
+        """Leave the last state on the screen and end."""
         super().close()
         if self._live is not None:
             self._live.stop()
@@ -127,7 +127,7 @@ class TerminalView(LiveView):
             self._console.print(headline(state, self._unit), soft_wrap=True)
 
     def render(self, state: LiveState) -> Panel:
-        """Panel of the whole view."""
+        """Render the panel of the whole view."""
         width = max(min(self._console.width, 110) - 14, 20)
         parts: list[RenderableType] = [headline(state, self._unit), Text(), _plot(state, width), Text()]
         parts += [_command(state, self._unit, width), *_timing(state, self._rate_hz, width), *_faults(state)]

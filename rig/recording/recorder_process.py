@@ -1,6 +1,6 @@
-"""Recording and live view in a process of their own, so that the control thread has its interpreter to itself.
+"""Recording and live view in a separate process, so that the interpreter of the loop serves the control thread alone.
 
-Both ends are here: `RecorderProcess` in the control process, `serve` in the one that it starts.
+`RecorderProcess` is the end in the control process, `serve` the main function of the recorder process.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def pack(samples: Iterable[Sample], replies: Replies = ()) -> bytes:
 
 
 def unpack(pipe: BinaryIO, take_replies: Callable[[Replies], object] = lambda replies: None) -> Iterator[list[Sample]]:
-    """Blocks of samples until the other side has closed the pipe or died; an incomplete block is left out.
+    """Read blocks of samples until the other side has closed the pipe or died; an incomplete block is left out.
 
     `take_replies` takes the replies of each block.
     """
@@ -77,7 +77,7 @@ def unpack(pipe: BinaryIO, take_replies: Callable[[Replies], object] = lambda re
 
 
 def _plain(s: Sample) -> tuple[object, ...]:
-    """Fields of a sample in order, as types that `marshal` supports: a controller may return numpy's."""
+    """Fields of a sample in order, in types that `marshal` supports, since a controller may return NumPy types."""
     angles = float(s.reference_deg), float(s.measured_deg)
     stages = tuple((str(name), float(spent)) for name, spent in s.stages_s)
     chosen = float(s.command), str(s.source), str(s.status), float(s.predicted_deg), stages
@@ -88,7 +88,7 @@ def _plain(s: Sample) -> tuple[object, ...]:
 
 @dataclass(frozen=True)
 class Views:
-    """Live views of a run."""
+    """Choice of the live views of a run."""
 
     terminal: bool = False  # the terminal view, on standard error
     page: bool = False  # whether the local page is served
@@ -106,7 +106,7 @@ def open_recorder_process(
     report: bool = True,
     desk: Desk | None = None,
 ) -> RecorderProcess:
-    """Start a recording, and the views, in a process of their own. Arguments as of `open_recording`.
+    """Start a recording, and the views, in a separate process; arguments as of `open_recording`.
 
     Writing and drawing are Python code that holds the interpreter's lock for milliseconds at a time, up to a whole
     period of a loop at 250 Hz. Here the control process only packs tuples and writes them to a pipe, and the log is
@@ -168,12 +168,11 @@ class RecorderProcess(ThreadedSink):
 
     @property
     def dropped(self) -> int:
-        """Samples that did not reach the process."""
         return super().dropped + self.lost
 
     @property
     def pid(self) -> int:
-        """Number of the process."""
+        """Process id of the recorder process."""
         return self._process.pid
 
     def close(self) -> None:
@@ -193,7 +192,7 @@ class RecorderProcess(ThreadedSink):
             self._tell(f"{self._folder}: {self.dropped} samples did not reach the recording")
 
     def _start(self, order: Mapping[str, Any]) -> None:
-        """Send the order and wait for the answer."""
+        """Send the order to the process and wait for its answer."""
         with suppress(OSError):  # the answer is then empty
             self._to.write(json.dumps(order).encode() + b"\n")
             self._to.flush()
@@ -205,7 +204,7 @@ class RecorderProcess(ThreadedSink):
         self.page = str(answer["ready"])
 
     def _turn(self, samples: list[Sample], ending: bool) -> bool:
-        """Pack and send; a process that is slow makes the thread wait, not the control thread."""
+        """Pack and send samples; a slow process delays this thread, not the control thread."""
         del ending
         block = self._packed(samples) if samples else b""
         if self._replies:
@@ -232,7 +231,7 @@ class RecorderProcess(ThreadedSink):
             return b"".join(self._packed([sample]) for sample in samples)
 
     def _receive(self) -> None:
-        """Read the messages of the process, in a thread."""
+        """Read the messages of the process in a separate thread."""
         for raw in self._from:
             answer = _line(raw)
             self.on_disk = int(answer.get("on_disk", self.on_disk))
@@ -273,14 +272,14 @@ def serve() -> int:
 
 @final
 class _Requests:
-    """Forwards requests of the page to the controller and waits for its reply."""
+    """Forwarding of the page's requests to the controller, with a wait for the reply."""
 
     def __init__(self) -> None:
         self._numbers = count()
         self._open: dict[int, tuple[Event, list[Reply]]] = {}
 
     def ask(self, action: str, value: float) -> Reply:
-        """Reply of the run to a request; by any thread."""
+        """Reply of the run to a request; callable from any thread."""
         number, arrived, received = next(self._numbers), Event(), list[Reply]()
         self._open[number] = arrived, received
         _say(ask=action, value=value, number=number)
@@ -289,7 +288,7 @@ class _Requests:
         return received[0] if received else Reply(False, _NO_REPLY)
 
     def take_replies(self, replies: Replies) -> None:
-        """Take the controller's replies; one that comes too late is dropped."""
+        """Accept the controller's replies; late replies are dropped."""
         for number, done, text in replies:
             if number in self._open:
                 arrived, received = self._open[number]
@@ -298,7 +297,7 @@ class _Requests:
 
 
 def _sinks(order: dict[str, Any], requests: _Requests) -> tuple[Sink, str]:
-    """Recording and views, and the address of the page."""
+    """Sinks of recording and views, and the address of the page."""
     from ..live.desk import Controls
     from ..live.page import LivePage
     from ..live.terminal import TerminalView

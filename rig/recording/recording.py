@@ -58,7 +58,7 @@ class RecordingMeta:
 
 
 def create_folder(folder: Path | str, config: Settings | Mapping[str, Any], meta: RecordingMeta) -> RunFolder:
-    """The run folder of a recording, with config.yaml and meta.json."""
+    """Create the run folder of a recording, with config.yaml and meta.json."""
     return RunFolder.create(folder, config, seed=meta.seed, models=meta.models, command_line=meta.command_line)
 
 
@@ -70,13 +70,11 @@ def open_recording(
     tell: Tell | None = None,
     report: bool = True,
 ) -> Recording:
-    """Start a recording by a thread of this process.
+    """Start a recording in a thread of this process.
 
     For fast loops see `open_recorder_process`, whose process leaves the interpreter to the control thread.
 
     Args:
-        folder: a new or empty folder.
-        config: resolved settings of the run.
         rate_hz: rate of the loop [Hz].
         tell: called with one line when recording has to stop; a warning of the `logging` module where None.
         report: whether to write report.html at the end.
@@ -89,13 +87,12 @@ def open_recording(
 
 @final
 class Recording(ThreadedSink):
-    """Writes log.csv and, where `mcap` is installed, log.mcap of a run folder; report.html at the end.
+    """Recorder of log.csv, log.mcap (if `mcap` is installed) and finally report.html of a run folder.
 
     Every 0.5 s whole rows and a whole chunk go to the disk. When the disk is full or fails, recording ends, the files
     keep the flushed samples, the user gets one message, and the run continues.
 
     Args:
-        tell: see `open_recording`.
         flushed: called after every flush with the number of samples on the disk.
 
     Raises:
@@ -128,12 +125,12 @@ class Recording(ThreadedSink):
 
     @property
     def dropped(self) -> int:
-        """Samples that were not recorded: the queue was full, recording had ended, or they could not be written."""
+        """Number of samples not recorded: queue full, recording ended, or samples not writable."""
         return super().dropped + self.unwritable
 
     @property
     def on_disk(self) -> int:
-        """Samples on the disk, safe from a kill of this process."""
+        """Number of samples on the disk, safe from a kill of this process."""
         return self._on_disk
 
     def close(self) -> None:
@@ -149,7 +146,6 @@ class Recording(ThreadedSink):
             self._report()
 
     def _turn(self, samples: list[Sample], ending: bool) -> bool:
-        """Add to the logs, and flush when it is time."""
         try:
             self._add(samples)
             now = monotonic()
@@ -179,7 +175,7 @@ class Recording(ThreadedSink):
         self._on_flush(self._on_disk)
 
     def _stop(self, error: OSError) -> None:
-        """End the recording; the run continues."""
+        """End the recording without an effect on the run."""
         self._waiting.closed = True
         self.unwritable += len(self._waiting.take()) + self._written - self._on_disk
         self.problem = (
@@ -212,7 +208,7 @@ def _open_logs(folder: Path, meta: RecordingMeta) -> tuple[_Log, ...]:
 
 @final
 class CsvLog:
-    """Writes log.csv in canonical columns, then the rest of a sample.
+    """Writer of log.csv in canonical columns, followed by the remaining fields of a sample.
 
     The last column is one character wide: a row that was cut off by a kill lacks it, and readers leave that row out.
 
@@ -233,7 +229,7 @@ class CsvLog:
         self._begun = False
 
     def add(self, sample: Sample) -> None:
-        """Collect one row; stages without a column are left to the MCAP log."""
+        """Append one row in memory; stages without a column are left to the MCAP log."""
         if not self._begun:
             self._begin(sample)
         spent = dict(sample.stages_s)
@@ -245,14 +241,14 @@ class CsvLog:
         self._rows.writerow((*(repr(float(x)) for x in numbers), *counts, *stages, *texts, int(bool(s.missed))))
 
     def flush(self) -> None:
-        """Put whole rows on the disk."""
+        """Write whole rows to the disk."""
         self._file.write(self._text.getvalue().encode("utf-8", errors="replace"))
         self._text.seek(0)
         self._text.truncate()
         self._file.commit()
 
     def close(self) -> None:
-        """End the file."""
+        """Write the last rows and close the file."""
         self._file.close()
 
     def _begin(self, first: Sample) -> None:
@@ -264,7 +260,7 @@ class CsvLog:
 
 @final
 class GrowingFile:
-    """File to which `commit` appends the bytes collected in memory.
+    """File that appends the bytes collected in memory at every `commit`.
 
     After a commit the operating system holds the data: it survives the death of the process (kill -9), though not a
     power cut until the system writes it out or `close` does.
@@ -280,19 +276,19 @@ class GrowingFile:
         self._committed = 0
 
     def write(self, data: bytes | bytearray | memoryview) -> int:
-        """Collect bytes."""
+        """Append bytes in memory."""
         self._pending += data
         return len(data)
 
     def tell(self) -> int:
-        """Length of the file once everything is committed."""
+        """Length of the file after the next commit."""
         return self._committed + len(self._pending)
 
     def flush(self) -> None:
-        """Nothing: only `commit` writes, so that a writer of some format cannot leave half a record on the disk."""
+        """No effect: only `commit` writes, so that no writer of a format can leave half a record on the disk."""
 
     def commit(self) -> None:
-        """Append what was collected; where the disk fails (OSError), the file ends with the commit before."""
+        """Append the bytes in memory; if the disk fails (OSError), the file ends with the last commit."""
         rest = memoryview(bytes(self._pending))
         try:
             while rest:
@@ -318,12 +314,12 @@ def stage_column(name: str) -> str:
 
 
 def one_line(text: str) -> str:
-    """Text without line breaks and control characters, so that a row stays a row."""
+    """Text without line breaks and control characters, so that a row stays on one line."""
     return " ".join("".join(sign if sign.isprintable() else " " for sign in str(text)).split())
 
 
 def _cell(text: str) -> str:
-    """Text that no reader takes for a number or for a missing one: a column's first cell determines its kind."""
+    """Text that no reader mistakes for a number or a missing value, since a column's first cell determines its type."""
     line = one_line(text)
     try:
         float(line)
@@ -339,7 +335,7 @@ _CHUNK_BYTES = 1 << 22  # a chunk ends with a flush, long before this
 
 @final
 class McapLog:
-    """Writes log.mcap: `/tip` (time, command, angles) and `/timing` of every sample, `/events` on changes.
+    """Writer of log.mcap: `/tip` (time, command, angles) and `/timing` of every sample, `/events` on changes.
 
     Messages are stamped with the wall clock of the first sample plus the monotonic time since then, so that a clock
     that jumps does not tear the plot; the wall clock itself is the publish time.
@@ -367,7 +363,7 @@ class McapLog:
         self._before: tuple[str, tuple[str, ...]] | None = None
 
     def add(self, sample: Sample) -> None:
-        """Collect the messages of one sample."""
+        """Append the messages of one sample in memory."""
         elapsed = round(1e9 * sample.t_s)
         if self._start_ns is None:
             self._start_ns = max(int(sample.wall_ns) - elapsed, 0)
@@ -386,12 +382,12 @@ class McapLog:
             self._put(self._events, stamp, sample, _event(sample, stamp))
 
     def flush(self) -> None:
-        """End the chunk and put it on the disk."""
+        """End the chunk and write it to the disk."""
         self._writer.flush()
         self._file.commit()
 
     def close(self) -> None:
-        """Write the summary and end the file."""
+        """Write the summary and close the file."""
         try:
             self._writer.finish()
             self._file.commit()
@@ -423,7 +419,6 @@ _LOG_FIELDS = {
 
 
 def _event(sample: Sample, stamp: int) -> dict[str, Any]:
-    """A line of Foxglove's log panel."""
     text = ": ".join(part for part in (one_line(sample.source), one_line(sample.status)) if part)
     faults = [one_line(fault) for fault in sample.faults]
     parts = [text, f"faults: {', '.join(faults)}" if faults else "", "deadline missed" if sample.missed else ""]

@@ -1,4 +1,4 @@
-"""report.html of a recording: commands and angles, timing of the loop, faults."""
+"""Page report.html of a recording: commands and angles, timing of the loop, faults."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ def write_report(run: RunFolder, dropped: int = 0, problem: str = "") -> Path:
 
 
 def tracked(t: Vec, reference: Vec, angle: Vec, command: Vec, unit: str) -> Figure:
-    """Reference and measured angle [deg] above, command [unit] below, over time [s]; (N,) each."""
+    """Plot of reference and measured angle [deg] above, command [unit] below, over time [s]; (N,) each."""
     line = TrackedLine(t, angle, command, {"color": MEASURED, "label": "measured"})
     return tracking_figure([TrackedMotion(t, reference, [line])], f"command [{unit}]")
 
 
 def timing_table(log: Log, more: tuple[str, ...] = ()) -> Table:
-    """Median, 99th percentile and greatest of every stage of a sample, and of other columns [ms]."""
+    """Table of median, 99th percentile and maximum of every stage of a sample, and of other columns [ms]."""
     rows: list[tuple[object, ...]] = []
     for name in (*more, *(name for name in log if name.startswith("stage_"))):
         values = 1e3 * numbers(log, name)
@@ -56,7 +56,7 @@ def timing_table(log: Log, more: tuple[str, ...] = ()) -> Table:
 
 
 def causes(log: Log) -> Iterator[Piece]:
-    """Table of samples by source of the command and by fault."""
+    """Table of the number of samples by source of the command and by fault."""
     sources = Counter(str(cell) for cell in log["source"])
     faults = Counter(word for cell in log.get("faults", ()) for word in str(cell).split() if word != "-")
     rows: list[tuple[object, ...]] = [("source", name, n) for name, n in sources.most_common()]
@@ -66,7 +66,7 @@ def causes(log: Log) -> Iterator[Piece]:
 
 
 def numbers(log: Log, name: str) -> Vec:
-    """A column of numbers (N,)."""
+    """Numbers of a column (N,)."""
     return np.asarray(log[name], dtype=np.float64)
 
 

@@ -1,4 +1,4 @@
-"""Samples of the control loop, and sinks and queues that take them from the control thread."""
+"""Samples of the control loop, and sinks and queues that receive them from the control thread."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _QUEUE_S = 30.0  # how long a disk, a terminal or another process may be stuck b
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One sample of the loop at a bench; the angle is the one at which the controller chose the command.
+    """One sample of the control loop; the angle is the one from which the controller chose the command.
 
     Attributes:
         command: command really sent, in the unit of the run's configuration; of the source `wait`, the one that the
@@ -56,10 +56,10 @@ class Sample:
 
 
 class Sink(Protocol):
-    """Takes samples from the control thread."""
+    """Receiver of samples from the control thread."""
 
     def put(self, sample: Sample) -> None:
-        """Take a sample; never blocks, never raises, counts what it has to drop."""
+        """Accept a sample; never blocks, never raises, counts dropped samples."""
         ...
 
     def close(self) -> None:
@@ -69,7 +69,7 @@ class Sink(Protocol):
 
 @final
 class SampleQueue:
-    """A bounded queue with one thread that puts and one that takes.
+    """Bounded queue for one producer thread and one consumer thread.
 
     `deque.append` and `popleft` are single steps of the interpreter, so the control thread never waits for a lock. A
     full queue refuses the newest sample, so that a recording has no hole before the one at its end.
@@ -82,14 +82,14 @@ class SampleQueue:
         self.closed = False
 
     def put(self, sample: Sample) -> None:
-        """Take a sample, or count it as dropped where the queue is full or closed; never blocks, never raises."""
+        """Add a sample, or count it as dropped if the queue is full or closed; never blocks, never raises."""
         if self.closed or len(self._samples) >= self._most:
             self.dropped += 1
         else:
             self._samples.append(sample)
 
     def take(self) -> list[Sample]:
-        """Samples in the queue, oldest first."""
+        """Remove and return the samples in the queue, oldest first."""
         count = len(self._samples)
         return [self._samples.popleft() for _ in range(count)]
 
@@ -98,7 +98,7 @@ class SampleQueue:
 
 
 class ThreadedSink(Sink, ABC):
-    """A sink that queues samples for its own thread, so that a blocked thread never delays the control loop.
+    """Sink with a queue and a separate thread, so that a blocked thread never delays the control loop.
 
     Args:
         thread: name of the thread, which a subclass starts once it is ready.
@@ -115,14 +115,14 @@ class ThreadedSink(Sink, ABC):
 
     @property
     def dropped(self) -> int:
-        """Samples that did not reach the thread, as the queue was full or closed."""
+        """Number of samples that did not reach the thread, since the queue was full or closed."""
         return self._waiting.dropped
 
     def put(self, sample: Sample) -> None:
         self._waiting.put(sample)
 
     def _finish(self, patience_s: float) -> bool:
-        """Let the thread take the waiting samples and end; False after an earlier call."""
+        """Let the thread process the waiting samples and end; return False after an earlier call."""
         if self._end.is_set():
             return False
         self._waiting.closed = True
@@ -132,7 +132,7 @@ class ThreadedSink(Sink, ABC):
 
     @abstractmethod
     def _turn(self, samples: list[Sample], ending: bool) -> bool:
-        """Process the samples that waited, in the thread; False ends it."""
+        """Process the waiting samples in the thread; return False to end it."""
 
     def _work(self) -> None:
         ending, going = False, True
@@ -143,7 +143,7 @@ class ThreadedSink(Sink, ABC):
 
 @final
 class SampleList(Sink):
-    """All samples, in memory."""
+    """Sink that keeps all samples in memory."""
 
     def __init__(self) -> None:
         self.samples: list[Sample] = []
@@ -170,7 +170,7 @@ class Tee(Sink):
                 self.broken += 1
 
     def close(self) -> None:
-        """Close every sink, the last one first, even where another one fails."""
+        """Close every sink in reverse order, even if one of them fails."""
         faults = []
         for sink in reversed(self._sinks):
             try:

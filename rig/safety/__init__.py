@@ -1,1 +1,1 @@
-"""Safety of a device: command gate, checks of measurements, watches of motion, stop and latch."""
+"""Safety of a device: command gate, checks of measurements, motion monitors, stop and latch."""

@@ -1,4 +1,4 @@
-"""Last limits on a command before it is sent: value, rate, and a known held command to start from."""
+"""Final limits of a command before it is sent: value, rate, and a known held command as the start."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from hystmpc.ctrl.command import CommandLimits
 from .intake import Observation
 
 _S = 1e-9
-_SHORTEST = 0.1  # of a sample: time that two commands count as apart at least
-_ROUNDING = 1e-9  # of the range: a conversion of units
-_STILL_NS = 80_000_000  # how long the held command has to stand still before it is believed
-_STILL = 0.25  # of the tolerance: how far it may wander meanwhile
-_LONGEST_NS = 60_000_000_000  # how long a device may go on to move by itself
-_IMPLAUSIBLE_NS = 2_000_000_000  # how long it may say that it holds what nothing has led it to
+_SHORTEST = 0.1  # least counted time between two commands, as a share of a sample
+_ROUNDING = 1e-9  # rounding of a unit conversion, as a share of the range
+_STILL_NS = 80_000_000  # required rest of the held command before it is accepted
+_STILL = 0.25  # permitted change during that time, as a share of the tolerance
+_LONGEST_NS = 60_000_000_000  # longest motion of a device by itself
+_IMPLAUSIBLE_NS = 2_000_000_000  # longest report of an inexplicable held command
 
 
 @final
 class Gate:
-    """Limits commands in value and rate; none is admitted while the held command is unknown.
+    """Limits of a command in value and rate; no command is admitted while the held command is unknown.
 
         u_k in [lower, upper],   |u_k - u_(k-1)| <= rate * min(max(t_k - t_(k-1), dt / 10), dt)
 
-    u_(k-1) is the last command that really left, or, after `anchor`, the command that the device says it holds.
+    u_(k-1) is the last command that was really sent or, after `anchor`, the command that the device reports as held.
     """
 
     def __init__(self, limits: CommandLimits, dt_s: float) -> None:
@@ -38,7 +38,7 @@ class Gate:
         self.clipped = 0
 
     def anchor(self, held: float) -> bool:
-        """Set the held command, at rest, as the start of the rate limit; False without an effect beyond the limits."""
+        """Set the held command, at rest, as the start of the rate limit; no effect and False beyond the limits."""
         low, high = self._limits.lower, self._limits.upper
         slack = _ROUNDING * (high - low)
         if not low - slack <= held <= high + slack:
@@ -58,19 +58,19 @@ class Gate:
         return u
 
     def numbers(self) -> Mapping[str, float] | None:
-        """Initial state of the same limits in C; None while nothing has been sent."""
+        """Initial state of the same limits in C; None before the first sent command."""
         if not self.anchored or self._sent_ns is None:
             return None
         limits = {"lower": self._limits.lower, "upper": self._limits.upper, "rate": self._limits.rate}
         return {**limits, "dt_s": self._dt, "last": self.last, "gate_ns": self._sent_ns}
 
     def sent(self, u: float, now_ns: int) -> None:
-        """Book the command `u`, sent at `now_ns` [ns], as the start of the next rate limit."""
+        """Record the command `u`, sent at `now_ns` [ns], as the start of the next rate limit."""
         self.velocity = (u - self.last) / self._dt
         self.last, self._sent_ns = u, now_ns
 
     def _elapsed_s(self, now_ns: int) -> float:
-        """Time that the rate limit counts [s]: never more than a sample, so that a pause earns no jump."""
+        """Time counted by the rate limit [s]: never more than a sample, so that a pause permits no jump."""
         if self._sent_ns is None:
             return self._dt
         return min(max(_S * (now_ns - self._sent_ns), _SHORTEST * self._dt), self._dt)
@@ -78,7 +78,7 @@ class Gate:
 
 @final
 class Anchor:
-    """Synchronises the gate with the command that the device holds, before the first command and after every gap.
+    """Synchronisation of the gate with the device's held command, before the first command and after every gap.
 
     A gap is a time without commands longer than `gap_s` (a stalled loop, a suspended machine), a command that did not
     leave, or a device that does not hold the sent command. After it, nothing is sent until fresh readings report a held
@@ -119,9 +119,8 @@ class Anchor:
     def judge(self, seen: Observation, boot_ns: int) -> bool:
         """Whether a command may be sent in this sample.
 
-        `moved` is then, in the first sample after a gap, the report that the device holds another command than the sent
-        one; `given_up` the reason for which nothing will be sent any more. `boot_ns` is the time now, suspension
-        included [ns].
+        In the first sample after a gap, `moved` reports a held command other than the sent one. `given_up` is the
+        reason for which no further command is sent. `boot_ns` is the present time, suspension included [ns].
         """
         self._reports_held = self._reports_held or math.isfinite(seen.held)
         self._judged_ns = boot_ns
@@ -146,11 +145,11 @@ class Anchor:
         return {"gap_ns": self._gap_ns, "judged_ns": self._judged_ns}
 
     def sent(self) -> None:
-        """Book a sent command; the time without commands counts from the check that allowed it."""
+        """Record a sent command; the time without commands counts from the check that allowed it."""
         self._sent_ns = self._judged_ns
 
     def not_sent(self, boot_ns: int) -> None:
-        """Book a command that may not have been sent: a device that reports its held command is asked for it."""
+        """Record a command that may not have been sent; a reported held command then has to confirm it."""
         if self._reports_held:
             self._lose(boot_ns)
 
@@ -168,7 +167,7 @@ class Anchor:
         recent = self._recent
         recent.append((boot_ns, held))
         while len(recent) > 2 and recent[1][0] <= boot_ns - _STILL_NS:
-            recent.popleft()  # the one that was told when the window begins stays
+            recent.popleft()  # the report in force at the start of the window is kept
         values = [u for _, u in recent]
         still = max(values) - min(values) <= _STILL * self._tolerance
         return held if still and boot_ns - recent[0][0] >= _STILL_NS else math.nan
@@ -201,7 +200,7 @@ class Anchor:
         return False
 
     def _waits(self, boot_ns: int) -> bool:
-        """Refuse to send, always False; gives the run up where that has lasted too long."""
+        """Refuse to send (always False); give the run up after too long a wait."""
         assert self._lost_ns is not None
         silent_ns = boot_ns - max(self._lost_ns, self._reported_ns)
         if silent_ns > self._silence_ns:

@@ -1,4 +1,4 @@
-"""Checks of measurements at receipt: age, sequence, plausibility. A measurement that fails is rejected and named."""
+"""Checks of received measurements: age, sequence, plausibility. A rejected measurement gets a named cause."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from .plausibility import DriveFollowing, MotionWatch
 OUTSIDE = "out-of-range"
 
 _S = 1e-9
-_DRIFT = 500e-6  # of the time passed: how fast the clocks of two machines drift apart at most
-_RATE_S = 0.02  # least time over which the rate of the angle is judged: noise between two readings is no motion
-_MEMORY_S = 10.0  # over which the times without an angle add up
-_NOISY = 5  # turns of the angle that show noise, with a fifth as many repetitions at most
+_DRIFT = 500e-6  # greatest relative drift of two machines' clocks
+_RATE_S = 0.02  # shortest interval for the angle's rate, since noise between two readings is no motion
+_MEMORY_S = 10.0  # window of the sum of times without an angle
+_NOISY = 5  # reversals that indicate noise, with at most a fifth as many repetitions
 
 
 class SensorSettings(Settings):
@@ -90,7 +90,7 @@ class SensorSettings(Settings):
 
     @property
     def silence_s(self) -> float:
-        """Time of silence after which the run is stopped safely [s]."""
+        """Duration of silence after which the run is stopped safely [s]."""
         return self.longest_gap_s if self.kind == "intermittent" else self.dead_after_s
 
     def estimator_keys(self) -> Mapping[str, Any]:
@@ -120,11 +120,11 @@ class Observation:
             judged by it: an implausible angle may be true.
     """
 
-    angle_deg: float  # the newest accepted angle, NaN where none is new
+    angle_deg: float  # newest accepted angle, NaN without a new one
     faults: tuple[str, ...]  # names of rejected or missing measurements
     dead: str  # cause of a stop, empty without one
     held: float = math.nan
-    follows: bool = True  # whether the device holds the commands sent lately; True where it does not report
+    follows: bool = True  # whether the device holds recent commands; True without reports
     frames: tuple[ObservedFrame, ...] = ()
     age_s: float = 0.0  # of `angle_deg`: 0 of a continuous sensor, which shows the present [s]
     shown_deg: float = math.nan
@@ -132,7 +132,7 @@ class Observation:
 
 @final
 class DropoutMonitor:
-    """Sums the times without an angle over the last 10 s: a sensor with frequent dropouts counts as failed.
+    """Monitor of the total time without an angle over the last 10 s: frequent dropouts count as a sensor failure.
 
     Two sums: times in which all readings lay beyond the plausible range, single samples left out; and silences, times
     since an accepted angle, that are longer than `age_limit_s` while readings are rejected, or than half of `longest_s`
@@ -148,13 +148,7 @@ class DropoutMonitor:
         self._was_outside, self._added_s = False, 0.0
 
     def judge(self, readings: int, faults: Sequence[str], silent_s: float, now_ns: int) -> str:
-        """Cause of a stop, empty without one; called once a sample.
-
-        Args:
-            readings: number in this sample.
-            faults: of them.
-            silent_s: time since the last accepted angle [s].
-        """
+        """Cause of a stop, empty without one; called once a sample with its readings, their faults, the silence [s]."""
         elapsed_s = 0.0 if self._seen_ns is None else _S * (now_ns - self._seen_ns)
         self._seen_ns = now_ns
         outside = readings > 0 and faults.count(OUTSIDE) == readings
@@ -172,7 +166,7 @@ class DropoutMonitor:
 
 
 def _sum(times: deque[tuple[int, float]], more_s: float, now_ns: int) -> float:
-    """Sum of the times of the last 10 s, with one more [s]."""
+    """Total duration over the last 10 s, the new one included [s]."""
     if more_s > 0:
         times.append((now_ns, more_s))
     while times and times[0][0] < now_ns - _MEMORY_S / _S:
@@ -182,7 +176,7 @@ def _sum(times: deque[tuple[int, float]], more_s: float, now_ns: int) -> float:
 
 @final
 class Intake:
-    """Checks readings in the order of arrival.
+    """Checks of readings in the order of arrival.
 
     The age of an angle is the time since its receipt plus its excess time of flight: arrival minus sender's stamp,
     minus the least such difference so far, which rises by the drift of two clocks and no faster. That needs no common
@@ -202,11 +196,11 @@ class Intake:
         self._settings, self._order, self._watch = settings, Order(), watch
         self._accepted_ns, self._angle = start_ns, math.nan
         self._rated: tuple[int, float] | None = None  # the accepted angle from which the rate counts
-        self._flight_ns: dict[bool, tuple[float, int]] = {}  # least time of flight, and when it was looked at
+        self._flight_ns: dict[bool, tuple[float, int]] = {}  # least time of flight, and time of its last update
         self._repeats, self._travel, self._command = 0, 0.0, math.nan
         self._slope, self._turns = 0.0, 0  # of the angle
         self._equal = self._same = 0  # its repetitions, up to the last change and since
-        longest_s = settings.silence_s  # a camera shows nothing for longer than an angle may be old
+        longest_s = settings.silence_s  # frames are farther apart than the age limit of an angle
         self._absences = DropoutMonitor(settings.age_limit_s if settings.kind == "continuous" else longest_s, longest_s)
         self._shown_deg = math.nan
         self._followed = DriveFollowing(settings.held_tolerance, settings.dead_after_s)
@@ -253,9 +247,7 @@ class Intake:
         )
 
     def numbers(self, dt_s: float, recent: int) -> Mapping[str, Any] | None:
-        """Initial state of the same checks in C, with room for `recent` commands; None for a sensor or a state without
-        C.
-        """
+        """Initial state of the same checks in C, for `recent` commands; None if sensor or state is not supported."""
         settings, watch, rated = self._settings, self._watch, self._rated
         if settings.kind != "continuous" or watch is None or rated is None:
             return None
@@ -283,13 +275,11 @@ class Intake:
 
     @property
     def lost(self) -> int:
-        """Measurements that were sent and never came."""
+        """Number of measurements that were sent and never arrived."""
         return self._order.lost
 
     def _judged(self, reading: Reading, now_ns: int) -> tuple[str, int | None]:
-        """Cause of a rejection, empty without one; and the time at which the angle was taken [ns], None without an
-        angle.
-        """
+        """Cause of a rejection (empty if accepted), and the time of measurement [ns] (None without an angle)."""
         verdict = self._order.judge(reading.session, reading.sequence)
         if verdict == REPLAYED:
             return verdict, None
@@ -316,7 +306,6 @@ class Intake:
         return "", None
 
     def _is_frame(self, reading: Reading) -> bool:
-        """Whether the reading shows a new frame."""
         if self._settings.kind != "intermittent" or not math.isfinite(reading.angle_deg):
             return False
         before, self._shown = self._shown, (reading.sent_ns, reading.angle_deg)
@@ -349,7 +338,7 @@ class Intake:
         return "frozen" if count and self._repeats >= count and self._travel >= settings.frozen_travel else ""
 
     def _count_turns(self, angle: float) -> None:
-        """Count changes of direction, which noise causes, and repeated angles, which a coarse sensor causes."""
+        """Count reversals of the angle, caused by noise, and repeated angles, caused by a coarse sensor."""
         slope = angle - self._angle
         if slope == 0.0:
             self._same += 1
@@ -360,12 +349,12 @@ class Intake:
 
     @property
     def _frozen_samples(self) -> int:
-        """Repetitions that mean a frozen sensor; 0 for one that has not shown noise in all of its angles."""
+        """Number of repetitions that indicate a frozen sensor; 0 for a sensor without noise in all of its angles."""
         noisy = self._turns >= _NOISY and self._equal <= self._turns // _NOISY
         return self._settings.frozen_samples or 0 if noisy else 0
 
     def _accept(self, reading: Reading, taken_ns: int) -> bool:
-        """Accept an angle; False for one that was taken before the last accepted one."""
+        """Accept an angle; return False if it was measured before the last accepted one."""
         if taken_ns < self._accepted_ns and math.isfinite(self._angle):
             return False
         self._accepted_ns, self._angle = taken_ns, reading.angle_deg
@@ -388,7 +377,7 @@ class Intake:
             self._past.popleft()
 
     def _silence(self, now_ns: int, readings: int, faults: list[str]) -> str:
-        """Cause of a stop for a missing angle, or for a silent device without a sensor."""
+        """Cause of a stop for a missing angle or, without a sensor, for a silent device."""
         silent_s, wants_angle = _S * (now_ns - self._accepted_ns), self._settings.kind != "none"
         if not wants_angle:
             silent = self._reports_held and silent_s > self._settings.silence_s

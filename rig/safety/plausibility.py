@@ -1,4 +1,4 @@
-"""Plausibility of motion: a blocked tip, a dislodged sensor, a wrong model, a drive that does not follow."""
+"""Plausibility of motion: blocked tip, displaced sensor, wrong model, drive that does not follow."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _S = 1e-9
 SMOOTH_S = 0.2
 """Time constant over which noise of the angle is averaged [s]."""
 
-_ONWARD_SHARE, _REVERSED_SHARE = 0.3, 0.5  # of the command's range: travel without motion, where nothing is said
+_ONWARD_SHARE, _REVERSED_SHARE = 0.3, 0.5  # default travel without motion, as a share of the command's range
 _ANGLE_SHARE = 0.025  # of the sensor's plausible range
 
 
@@ -46,7 +46,7 @@ class PlausibilitySettings(Settings):
     watch_model: bool = True
 
     def travel_of(self, command_range: float, onward: bool = False) -> float:
-        """Implausible travel without motion in a range of the command, `onward` in the direction of the last motion."""
+        """Implausible travel without angular motion for a command range; `onward`: in the last motion's direction."""
         return self.travel or (_ONWARD_SHARE if onward else _REVERSED_SHARE) * command_range
 
     def moves_of(self, angle_range_deg: float) -> float:
@@ -56,7 +56,7 @@ class PlausibilitySettings(Settings):
 
 @final
 class MotionWatch:
-    """Detects commanded travel without angular travel, or with angular travel in the opposite direction.
+    """Monitor of commanded travel without angular motion, or with angular motion in the opposite direction.
 
     The angle is smoothed over 0.2 s. The command u is followed as a device of the slowest allowed lag would do:
 
@@ -80,7 +80,7 @@ class MotionWatch:
         self._travel, self._onward = settings.travel_of(command_range), settings.travel_of(command_range, True)
         self._moves = settings.moves_of(angle_range_deg)
         self._opposes = self._travel if rises and settings.watch_direction else math.inf
-        self._gain = math.inf if rises else 0.0  # its sign is that of the angle's change by the command, as far as seen
+        self._gain = math.inf if rises else 0.0  # its sign is that of the observed change of angle by command
         self._smooth = self._lagged = math.nan
         self._seen_ns = 0
         self._low = self._high = self._least = self._most = math.nan  # of angle and v since the last motion
@@ -112,7 +112,7 @@ class MotionWatch:
 
     @property
     def _onward_travel(self) -> float:
-        """Travel of v in the direction of the last motion, where no play is left."""
+        """Travel of v in the direction of the last motion, where no play remains."""
         beyond = self._most - self._engaged if self._direction > 0 else self._engaged - self._least
         return beyond if self._direction else 0.0
 
@@ -123,7 +123,7 @@ class MotionWatch:
         return 0.0 if math.isnan(travelled) else travelled
 
     def numbers(self) -> Mapping[str, float]:
-        """Initial state of the same rule in C; `travel` -1 disables it, and Python checks every motion once more."""
+        """Initial state of the same rule in C; `travel` -1 disables it, and Python checks every motion again."""
         return {
             "travel": min(self._travel, self._onward) if self._on else -1.0,
             "lag_s": self._lag_s,
@@ -139,7 +139,7 @@ class MotionWatch:
         }
 
     def _moved(self, angle: float, command: float, lagged: float) -> str:
-        """The angle has moved: in the direction of the command, or against it."""
+        """Update the state after a motion of the angle, with or against the command."""
         turned, travelled = angle - self._from_deg, lagged - self._from
         change = 0.0 if math.isnan(turned) else turned * travelled
         self._opposed = self._opposed + abs(travelled) if change < 0 else 0.0
@@ -157,20 +157,20 @@ class MotionWatch:
         )
 
     def _engage(self, rise: float) -> None:
-        """Take the direction of a motion of the device's input, and the farthest command in it; `rise` has its sign."""
+        """Store the direction of an input motion and its farthest command; `rise` has its sign."""
         before, self._direction = self._direction, 1 if rise > 0 else -1 if rise < 0 else 0
         farther, command = (max, self._highest) if rise > 0 else (min, self._lowest)
         self._engaged = farther(self._engaged, command) if self._direction == before else command
 
 
 def _followed(lagged: float, value: float, share: float) -> float:
-    """First-order lag of a value after a time of `share` time constants; the value itself at first."""
+    """First-order lag of a value after `share` time constants; the value itself at the first call."""
     return value if math.isnan(lagged) else lagged + (1.0 - math.exp(-share)) * (value - lagged)
 
 
 @final
 class ModelWatch:
-    """Detects a device that has left its model: an estimated disturbance that is too large for too long.
+    """Monitor of the model error: detects an estimated disturbance that is too large for too long.
 
     `limit_deg` is the bound of the estimator's disturbance; infinite without an estimator [deg].
     """
@@ -204,7 +204,7 @@ class ModelWatch:
 
 @final
 class DriveFollowing:
-    """Detects a drive that does not follow: compares the reported held command with the commands sent lately.
+    """Monitor of the drive: compares the reported held command with the recently sent commands.
 
     A device follows while its held command lies within the least and the greatest command of the last `window_s`, or
     between them and the commands lagged by `window_s`, within `tolerance`. A drive that is late or lags by as much is
@@ -222,7 +222,7 @@ class DriveFollowing:
         self._off_ns: int | None = None
 
     def recent(self, dt_s: float, most: int) -> Mapping[str, Any]:
-        """The last commands that were sent, at most as many as the window has samples, for the same rule in C."""
+        """Recently sent commands, at most as many as the window has samples, for the same rule in C."""
         count = max(min(most, int(1e-9 * self._window_ns / dt_s)), 1)
         commands = [u for _, u in self._sent][-count:]
         recent = (ctypes.c_double * most)(*commands)
@@ -256,11 +256,10 @@ class DriveFollowing:
         )
 
     def _allowed(self, sent: float, now_ns: int) -> tuple[float, float]:
-        """Least and greatest command that a device may hold now."""
         window, elapsed_ns = self._sent, now_ns - self._sent[-1][0] if self._sent else 0
         self._lagged = _followed(self._lagged, sent, elapsed_ns / self._window_ns)
         window.append((now_ns, sent))
         while len(window) > 1 and window[1][0] <= now_ns - self._window_ns:
-            window.popleft()  # the one that was in force when the window begins stays
+            window.popleft()  # the command in force at the start of the window is kept
         commands = [self._lagged, *(u for _, u in window)]
         return min(commands), max(commands)

@@ -1,4 +1,4 @@
-"""Commands of jerk-limited ramps, sample by sample."""
+"""Commands of jerk-limited ramps, one for each sample."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class RampSettings(Settings):
 
     @property
     def limits(self) -> MotionLimits:
-        """The same limits as settings of ruckig, whose numbers have no unit."""
+        """Same limits as settings of ruckig, whose numbers have no unit."""
         return MotionLimits(
             velocity_deg_s=self.velocity_per_s,
             acceleration_deg_s2=self.acceleration_per_s2,
@@ -43,7 +43,7 @@ class RampSettings(Settings):
 
 
 def ramp_commands(start: float, velocity: float, target: float, ramps: RampSettings, dt_s: float) -> Vec:
-    """Commands (N,) that lead from `start`, moving at `velocity`, to rest at `target`, which is the last one.
+    """Commands (N,) from `start`, moving at `velocity`, to rest at `target`, which is the last one.
 
     Raises:
         TrajectoryError: if ruckig finds no motion.
@@ -61,7 +61,7 @@ def ramp_commands(start: float, velocity: float, target: float, ramps: RampSetti
 def stop_commands(
     start: float, velocity: float, safe: float, ramps: RampSettings, overshoot: float, dt_s: float
 ) -> Vec:
-    """Commands (N,) of a stop: from `start`, moving at `velocity`, to rest at `safe`.
+    """Commands (N,) of a stop from `start`, moving at `velocity`, to rest at `safe`.
 
     The jerk-limited ramp where it stays between `start` and `safe` within `overshoot` at either end. Otherwise it
     brakes first, with a linear velocity, which takes |v| / a and travels v^2 / (2 a), and ramps from rest:
@@ -84,7 +84,7 @@ def stop_commands(
 def waypoint_commands(
     start: float, stops: Sequence[float], holds_s: Sequence[float], ramps: RampSettings, dt_s: float
 ) -> Vec:
-    """Commands (N,) from rest at `start` by ramps to every stop, each followed by its hold.
+    """Commands (N,) of ramps from rest at `start` to every stop, each followed by its hold.
 
     Raises:
         TrajectoryError: if ruckig finds no motion, or there is nothing to do.

@@ -1,4 +1,4 @@
-"""Stops: requested by a signal or another thread, latched on disk until a person resets the latch."""
+"""Stops: requested by a signal or another thread, and latched on disk until a person resets the latch."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ RUNNING = "the program was killed while it controlled the device"
 
 @final
 class StopFlag:
-    """Stop request by a signal or another thread, read once a sample; the first cause stays.
+    """Stop request by a signal or another thread, read once a sample; the first cause is kept.
 
     Attributes:
         cause: of a requested safe stop, empty without one.
@@ -92,12 +92,12 @@ class Latch:
 
     @classmethod
     def of(cls, name: str, file: Path | None) -> Latch:
-        """The latch of a device: `file`, or one in the user's state folder."""
+        """Latch of a device: `file`, or a file in the user's state folder."""
         return cls(file or user_state_path("hystmpc", appauthor=False) / f"{name}.latched.json")
 
     @contextmanager
     def held(self) -> Iterator[Latch]:
-        """The latch, for this program alone while the block lasts.
+        """Hold the latch for this program alone within the block.
 
         Raises:
             ConfigError: if another program controls the device now, or the lock cannot be made.

@@ -1,1 +1,1 @@
-"""Transports between control loop and device, behind one protocol."""
+"""Transports between control loop and device with a common interface."""

@@ -1,4 +1,4 @@
-"""Settings of the DDS transport; `dds_` contains the part that needs Cyclone DDS (extra `rig`)."""
+"""Settings of the DDS transport; module `dds_` contains the part that needs Cyclone DDS (extra `rig`)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .transport import DeviceLink, RunContext, SocketWrapper, Transport
 
 
 class DdsSettings(TopicSettings):
-    """`kind: dds`: two topics of a DDS domain, as ROS 2 nodes see them.
+    """Transport `kind: dds`: two topics of a DDS domain, as seen by ROS 2 nodes.
 
     Attributes:
         angle_topic, command_topic: names as ROS 2 has them, without the prefix `rt/`.
@@ -28,7 +28,7 @@ class DdsSettings(TopicSettings):
         return dds_transport(self, run.conversion)
 
     def listen(self, silence_s: float, through: SocketWrapper | None) -> DeviceLink:
-        """The device's end; faults cannot be injected in front of DDS.
+        """Open the device's end; faults cannot be injected in front of DDS.
 
         Raises:
             ConfigError: if it cannot be opened, or a package is missing for it.

@@ -1,4 +1,4 @@
-"""Two DDS topics that ROS 2 nodes understand, by Eclipse Cyclone DDS (extra `rig`); ROS itself is not needed."""
+"""Two DDS topics readable by ROS 2 nodes, by Eclipse Cyclone DDS (extra `rig`); ROS itself is not needed."""
 
 # No `from __future__ import annotations` here: cyclonedds reads the annotations as types.
 import math
@@ -72,8 +72,6 @@ HASHES: dict[type[Float64 | Float64Stamped], str] = {
 
 
 class _Wire:
-    """Writer of one topic and reader of another."""
-
     def __init__(self, settings: TopicSettings, out: str, into: str) -> None:
         local = settings.interface is None
         xml = _XML.format(
@@ -141,7 +139,7 @@ def _qos(settings: TopicSettings) -> Qos:
 
 
 def dds_transport(settings: TopicSettings, conversion: Conversion) -> TopicTransport:
-    """The controller's end in a domain. A Float64's age counts from the sender's DDS stamp.
+    """Open the controller's end in a domain. The age of a Float64 counts from the sender's DDS stamp.
 
     Raises:
         ConfigError: if the domain cannot be joined.
@@ -151,12 +149,12 @@ def dds_transport(settings: TopicSettings, conversion: Conversion) -> TopicTrans
 
 @final
 class DdsLink(DeviceLink):
-    """The device's end: reads the command's topic, writes the angle's. One controller at a time, see `Admission`.
+    """Device's end of the wire: reads the command topic, writes the angle topic, for one controller at a time.
 
-    Plain Float64 has no sessions: every command is taken.
+    See `Admission`. Plain Float64 has no sessions: every command is accepted.
 
     Args:
-        silence_s: how long a controller has to be silent before another may take its place [s].
+        silence_s: silence of a controller after which another may take its place [s].
 
     Raises:
         ConfigError: if the domain cannot be joined.
@@ -181,7 +179,7 @@ class DdsLink(DeviceLink):
         return None
 
     def send(self, message: Outgoing) -> None:
-        """Send a measurement, and which session is listened to."""
+        """Send a measurement and the session that is listened to."""
         stamp_ns = message.stamp_ns + time.time_ns() - time.monotonic_ns()  # ROS stamps are those of the wall clock
         session = self._admission.session if message.listens else None
         self._wire.write(message.angle, message.held, message.sequence, stamp_ns, listening(session))
@@ -190,9 +188,7 @@ class DdsLink(DeviceLink):
         self._wire.close()
 
     def _said(self, message: Any) -> Incoming | str:
-        """Content of an admitted message, or the reason of its refusal; it has to come from the writer that has
-        greeted.
-        """
+        """Content of an admitted message from the writer that has greeted, or the reason of its refusal."""
         writer = message.sample_info.publication_handle
         come = writer, message.session, message.sequence, time.monotonic_ns()
         note = message.header.frame_id

@@ -1,4 +1,4 @@
-"""Transports from outside the package, called in a thread of their own: one may raise, hang or return nonsense."""
+"""Transports from outside the package, called in a separate thread: they may raise, hang or return nonsense."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ T = TypeVar("T")
 
 @final
 class Worker:
-    """A thread that creates and calls an external object, so that a blocking call delays no other thread."""
+    """Thread that creates and calls an external object, so that a blocking call delays no other thread."""
 
     def __init__(self, name: str) -> None:
         self._calls: SimpleQueue[tuple[Future[Any], Callable[[], Any]]] = SimpleQueue()
@@ -44,11 +44,11 @@ class Worker:
 
     @property
     def idle(self) -> bool:
-        """Whether no call hangs."""
+        """Whether no call is blocked."""
         return self._newest is None or self._newest.done()
 
     def call(self, function: Callable[[], T], patience_s: float) -> T:
-        """Result or exception of the function; `TimeoutError` where it, or the call before, does not return in time."""
+        """Result or exception of the function; `TimeoutError` if this or the previous call does not return in time."""
         if not self.idle:
             raise TimeoutError("it still hangs in the call before")
         future = self._newest = self._put(function)
@@ -60,7 +60,7 @@ class Worker:
             raise TimeoutError(f"it has not come back within {patience_s:g} s") from None
 
     def last(self, function: Callable[[], object], then: Callable[[], T], patience_s: float) -> Future[T]:
-        """Queue the last two calls, which follow a blocked one, and end the thread. Waits for the first of them."""
+        """Queue the last two calls and end the thread after them; wait for the first one."""
         future, second = self._put(function), self._put(then)
         self._put(_end)
         future.result(patience_s)
@@ -85,12 +85,12 @@ class Worker:
 
 
 def _end() -> None:
-    """Ends the thread."""
+    """Signal the end of the thread."""
 
 
 @final
 class GuardedTransport(Transport):
-    """A transport from outside the package, made and called in a thread of its own.
+    """Transport from outside the package, created and called in a separate thread.
 
     A call without a result within 0.1 s raises; until it returns, every other call raises at once. A blocked wire thus
     looks like a silent one, and the run ends by the loop's own rules. The results of `read` are checked, counted where
@@ -98,10 +98,6 @@ class GuardedTransport(Transport):
 
     Readings are fetched several at a time, since a thread's answer takes longer than most drivers do. Those of a late
     call are kept; after them the wire is left to a command before it is read again.
-
-    Args:
-        make: makes the transport.
-        name: of it, in messages.
 
     Raises:
         ConfigError: if it cannot be made within 10 s, or lacks methods of a transport.
@@ -158,7 +154,7 @@ class GuardedTransport(Transport):
         return self._converted(item)
 
     def _fetch(self) -> None:
-        """Fetch the available readings in the device's thread; an error after the first reading is queued behind it."""
+        """Read the available measurements in the device's thread; a later error is queued behind them."""
         until, count = self._now() + _AT_ONCE_NS, 0
         while count < _AT_ONCE and (not count or self._now() < until):
             try:
@@ -194,11 +190,11 @@ class GuardedTransport(Transport):
         self._call("write", lambda: self._device.write(raw))
 
     def greet(self) -> None:
-        """Ask the device to listen, where its class supports it."""
+        """Ask the device to listen if its class supports it."""
         self._call("greet", lambda: self._device.greet())
 
     def stop(self, goodbye: bool = False) -> None:
-        """Close, once; a transport that hangs is closed when it comes back."""
+        """Close the transport once; a blocked transport is closed after its call returns."""
         if self._open:
             self._open = False
             self._final = self._worker.last(lambda: self._device.stop(goodbye), self._counts, _CLOSES_S)
@@ -214,7 +210,7 @@ class GuardedTransport(Transport):
 
 
 def missing_methods(device: object) -> list[str]:
-    """Methods that a transport, or its class, does not define; those inherited from the protocol do not count."""
+    """Names of the transport methods that an object or class does not define; the protocol's do not count."""
     kind = device if isinstance(device, type) else type(device)
     inherited = [name for name in METHODS if getattr(kind, name, None) is getattr(Transport, name)]
     return [name for name in METHODS if name in inherited or not callable(getattr(device, name, None))]
@@ -226,7 +222,7 @@ def missing_text(missing: list[str]) -> str:
 
 
 def reading_fault(value: object, now_ns: int) -> str:
-    """Reason for which a value returned by `read` is no measurement; empty where it is one.
+    """Reason why a value returned by `read` is no measurement; empty if it is one.
 
     Args:
         value: what was returned, not None.
@@ -246,7 +242,7 @@ def reading_fault(value: object, now_ns: int) -> str:
 
 
 def _is_number(value: object) -> bool:
-    """Whether the value is a real number or not-a-number, which a sensor may show."""
+    """Whether the value is a real number or not-a-number, which a sensor may return."""
     try:
         return isinstance(value, Real) and not isinstance(value, bool) and not math.isinf(float(value))
     except OverflowError:
@@ -262,7 +258,7 @@ GROUP = "hystmpc.transports"
 
 
 class PythonSettings(TransportBase):
-    """`python: MODULE:CLASS`: a class of the user; every further key is a keyword argument of it.
+    """Transport `python: MODULE:CLASS`: a class of the user; every further key is a keyword argument of it.
 
     Attributes:
         kind: of this block; may be left out.
@@ -283,7 +279,7 @@ class PythonSettings(TransportBase):
 
     @classmethod
     def of(cls, transport: Transport) -> PythonSettings:
-        """Settings of an existing transport."""
+        """Settings of an existing transport object."""
         settings = cls(python=f"{type(transport).__module__}:{type(transport).__name__}")
         settings._instance = transport
         return settings
@@ -299,7 +295,7 @@ class PythonSettings(TransportBase):
         return GuardedTransport(self._make(), self.python, run)
 
     def _make(self) -> Callable[[], Any]:
-        """Factory of the transport; class, methods and arguments are checked already."""
+        """Factory of the transport, after checks of class, methods and arguments."""
 
         def made() -> Any:
             with working_folder():  # a class may import more when it is made

@@ -1,4 +1,4 @@
-"""Simulated and replayed devices in this process: one sample for every command."""
+"""Simulated and replayed devices in this process, advanced by one sample for every command."""
 
 from __future__ import annotations
 
@@ -30,12 +30,11 @@ from .transport import Reading, RunContext, Transport, TransportBase
 
 @final
 class SimulatedTransport(Transport):
-    """A `Plant` as a transport; its time is the number of commands, so it has no delay.
+    """Transport to a `Plant` in this process; its time is the number of commands, so it has no delay.
 
     Args:
         held: the command that the plant holds after its reset.
         sensor: what is shown of its angle; a first frame shows the rest.
-        seed: of the frames.
 
     Raises:
         ConfigError: if the plant has another sample time.
@@ -91,7 +90,7 @@ class SimulatedTransport(Transport):
             self._frames.extend(frames)
 
     def greet(self) -> None:
-        """Nothing to do: it always listens."""
+        """No effect, since a simulated device always listens."""
 
     def stop(self, goodbye: bool = False) -> None:
         del goodbye
@@ -106,25 +105,25 @@ class RecordedPlant:
         self._angles, self.dt, self._k = angles_deg.tolist(), dt_s, 0
 
     def reset(self) -> float:
-        """Return to the first row; its angle [deg]."""
+        """Return to the first row; return its angle [deg]."""
         self._k = 0
         return self._angle()
 
     def apply(self, u: float) -> float:
-        """Advance to the next row; its angle [deg]."""
+        """Advance to the next row; return its angle [deg]."""
         del u
         self._k += 1
         return self._angle()
 
     def stop(self) -> None:
-        """Nothing to do."""
+        """No effect."""
 
     def _angle(self) -> float:
         return self._angles[self._k] if self._k < len(self._angles) else math.nan
 
 
 def recorded_plant(run: RunFolder, dt_s: float) -> tuple[RecordedPlant, float]:
-    """The replay of a run folder, and the command that its device held.
+    """Replay of a run folder, and the held command of its device.
 
     Raises:
         LogError: if its log lacks the columns of a run.
@@ -142,7 +141,7 @@ def recorded_plant(run: RunFolder, dt_s: float) -> tuple[RecordedPlant, float]:
 
 
 class SimulatedSettings(TransportBase):
-    """`kind: simulated`: a device computed in this process; `plant` and `sensor` as in a simulation file.
+    """Transport `kind: simulated`: a device in this process; `plant` and `sensor` as in a simulation file.
 
     Attributes:
         plant: the device, as `plant` of a simulation file.
@@ -167,7 +166,7 @@ class SimulatedSettings(TransportBase):
 
 
 class ReplaySettings(TransportBase):
-    """`kind: replay`: the angles of a recorded run, one a sample, whatever is commanded.
+    """Transport `kind: replay`: the angles of a recorded run, one a sample, whatever the command.
 
     Attributes:
         run: folder of the recorded run.

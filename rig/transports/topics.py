@@ -25,7 +25,7 @@ _LISTENS = "listens:"
 
 
 def listening(session: int | None) -> str:
-    """Note of a device that listens to a session, or to none."""
+    """Text by which a device reports the session that it listens to, or none."""
     return f"{_LISTENS}none" if session is None else f"{_LISTENS}{session:08x}"
 
 
@@ -66,7 +66,7 @@ class TopicSettings(TransportBase):
 
 @dataclass(frozen=True, slots=True)
 class TopicMessage:
-    """A measurement on its topic."""
+    """Message of a measurement on its topic."""
 
     data: float  # raw angle
     sequence: int  # the sender's count
@@ -84,7 +84,7 @@ class TopicMessage:
 
 
 class TopicWire(Protocol):
-    """Writer of one topic and reader of another; nothing blocks."""
+    """Writer of one topic and reader of another; no method blocks."""
 
     @property
     def session(self) -> int:
@@ -92,11 +92,11 @@ class TopicWire(Protocol):
         ...
 
     def read(self) -> TopicMessage | None:
-        """The oldest message that has not been read yet, None where there is none."""
+        """Oldest unread message, None if there is none."""
         ...
 
     def write(self, value: float, held: float, *, note: str = "") -> None:
-        """Send a number; sequence and stamp are those of the wire."""
+        """Send a number with the sequence and stamp of the wire."""
         ...
 
     def close(self) -> None:
@@ -106,7 +106,7 @@ class TopicWire(Protocol):
 
 @final
 class TopicTransport(Transport):
-    """Reads the angle's topic, writes the command's.
+    """Transport that reads the angle topic and writes the command topic.
 
     Plain Float64 carries neither sequence nor session: a restarted device is not noticed.
 
@@ -140,12 +140,12 @@ class TopicTransport(Transport):
             self._wire.write(self._conversion.raw_command(command), 0.0)
 
     def greet(self) -> None:
-        """Ask the device to listen; one without sessions would take this for a command."""
+        """Ask the device to listen; no message without sessions, where it would count as a command."""
         if self._wire is not None and self._device_has_sessions:
             self._wire.write(math.nan, 0.0, note=GREETING)
 
     def stop(self, goodbye: bool = False) -> None:
-        """Leave the topics, after a goodbye where that is wanted and the device has sessions."""
+        """Leave the topics, after a goodbye if it is wanted and the device has sessions."""
         wire, self._wire = self._wire, None
         if wire is not None:
             if goodbye and self._device_has_sessions:

@@ -17,7 +17,7 @@ from hystmpc.trials.errors import ConfigError
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """One measurement as it arrived, not yet judged; angles in degrees, commands in the run's unit.
+    """One measurement as received, before any check; angles in degrees, commands in the run's unit.
 
     Attributes:
         angle_deg: measured tip angle, possibly not a number [deg].
@@ -39,7 +39,7 @@ class Reading:
 
     @classmethod
     def now(cls, angle_deg: float, sequence: int, held: float = math.nan) -> Reading:
-        """A measurement that has just arrived, of a device without sessions and stamps.
+        """Measurement received just now from a device without sessions and stamps.
 
         Args:
             angle_deg: measured angle, in the unit of the block `wire` [deg].
@@ -51,13 +51,13 @@ class Reading:
 
 
 class Transport(Protocol):
-    """Transport to a device. No method blocks for longer than a system call; failures raise `OSError`.
+    """Interface of a transport to a device. No method blocks for longer than a system call; failures raise `OSError`.
 
-    One from outside the package may speak other units, see `GuardedTransport`.
+    A transport from outside the package may use other units, see `GuardedTransport`.
     """
 
     def read(self) -> Reading | None:
-        """The oldest measurement that has not been read yet, None where there is none."""
+        """Oldest unread measurement, None if there is none."""
         ...
 
     def write(self, command: float) -> None:
@@ -65,33 +65,33 @@ class Transport(Protocol):
         ...
 
     def greet(self) -> None:
-        """Ask the device to take commands of this session, repeated after its watchdog has acted; nothing is moved."""
+        """Ask the device to accept commands of this session, repeated after its watchdog has acted; nothing moves."""
         ...
 
     def stop(self, goodbye: bool = False) -> None:
-        """Close; may be called twice.
+        """Close the transport; a second call is allowed.
 
-        With `goodbye`, the device learns that nobody will command it any more, so that its watchdog may rest: only for
-        a device that has reported that it holds the safe command.
+        With `goodbye`, the device is informed that nobody will command it any more, so that its watchdog may rest: only
+        for a device that has reported that it holds the safe command.
         """
         ...
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """Rejected messages by cause."""
+        """Number of rejected messages by cause."""
         ...
 
     def numbers(self) -> Mapping[str, float] | None:
-        """Data by which a loop in C reads and writes here; None for a transport without C."""
+        """Data for reading and writing by a loop in C; None for a transport without C."""
         return None
 
     def reading(self, data: bytes, received_ns: int) -> Reading | None:
-        """Decode a reading that such a loop has received; None for an invalid one."""
+        """Decode a reading received by the loop in C; None for an invalid one."""
         del data, received_ns
         return None
 
     def take_back(self, unread: Sequence[tuple[bytes, int]], sent: int) -> None:
-        """Resume after such a loop: its unused messages (bytes, time of receipt [ns]) are read first.
+        """Resume after a loop in C: its unused messages (bytes, receipt time [ns]) are read first.
 
         `sent` is the sequence number of its last message.
         """
@@ -100,11 +100,7 @@ class Transport(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Outgoing:
-    """A measurement in the wire's units, as a device sends it.
-
-    Attributes:
-        angle, held: raw angle and held command.
-    """
+    """Measurement sent by a device: raw angle and held command in the wire's units."""
 
     angle: float
     held: float
@@ -125,26 +121,26 @@ class Incoming:
 
 
 class DeviceLink(Protocol):
-    """Interface of the device's end of a wire. No method blocks."""
+    """Interface of the device's end of a wire; no method blocks."""
 
     greeted: bool
     """Whether controllers greet on this wire: without sessions they cannot."""
 
     def receive(self) -> Incoming | None:
-        """The oldest message not yet taken, None where there is none."""
+        """Oldest unread message, None if there is none."""
         ...
 
     def send(self, message: Outgoing) -> None:
-        """Send a measurement to whoever controls; to nobody where there is none."""
+        """Send a measurement to the controller in charge, if there is one."""
         ...
 
     def close(self) -> None:
-        """Free the wire."""
+        """Release the wire."""
         ...
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """Rejected messages by cause."""
+        """Number of rejected messages by cause."""
         ...
 
 
@@ -156,7 +152,7 @@ _TO_RUN = {"mm": ("mm", 1.0), "m": ("mm", 1e3), "bar": ("bar", 1.0), "kPa": ("ba
 
 
 class WireUnits(Settings):
-    """Block `wire`: units of the device. The angle in degrees is sign * raw + offset_deg, raw taken to degrees.
+    """Block `wire`: units of the device; angle [deg] = sign * raw + offset_deg, with raw converted to degrees.
 
     Attributes:
         angle_unit: unit of the angle on the wire.
@@ -173,7 +169,7 @@ class WireUnits(Settings):
 
 @dataclass(frozen=True)
 class Conversion:
-    """Raw numbers of the wire to degrees and the run's command unit, and back."""
+    """Conversion of raw numbers of the wire to degrees and the run's command unit, and back."""
 
     angle_factor: float
     angle_offset_deg: float
@@ -181,7 +177,7 @@ class Conversion:
 
     @classmethod
     def of(cls, wire: WireUnits, command_unit: str) -> Conversion:
-        """The conversion between a wire and a run.
+        """Conversion between a wire and a run.
 
         Raises:
             ConfigError: if one speaks of travel and the other of pressure.
@@ -194,7 +190,7 @@ class Conversion:
         return cls(wire.angle_sign * _TO_DEG[wire.angle_unit], wire.angle_offset_deg, factor)
 
     def angle_deg(self, raw: float) -> float:
-        """Angle [deg] of a raw one."""
+        """Angle [deg] of a raw angle."""
         return self.angle_factor * raw + self.angle_offset_deg
 
     def raw_angle(self, angle_deg: float) -> float:
@@ -202,7 +198,7 @@ class Conversion:
         return (angle_deg - self.angle_offset_deg) / self.angle_factor
 
     def command(self, raw: float) -> float:
-        """Command in the run's unit of a raw one."""
+        """Command in the run's unit of a raw command."""
         return self.command_factor * raw
 
     def raw_command(self, command: float) -> float:
@@ -214,10 +210,10 @@ Peer = tuple[str, int]
 
 
 class Datagrams(Protocol):
-    """Interface of a datagram socket, behind which faults can be injected."""
+    """Interface of a datagram socket, in front of which faults can be injected."""
 
     def recvfrom(self, size: int, /) -> tuple[bytes, Any]:
-        """The oldest datagram and its sender; `BlockingIOError` where there is none."""
+        """Oldest datagram and its sender; `BlockingIOError` if there is none."""
         ...
 
     def sendto(self, data: bytes, peer: Peer, /) -> int:
@@ -225,11 +221,11 @@ class Datagrams(Protocol):
         ...
 
     def getsockname(self) -> Any:
-        """Own address."""
+        """Address of this socket."""
         ...
 
     def close(self) -> None:
-        """Free the port."""
+        """Release the port."""
         ...
 
 
@@ -243,7 +239,7 @@ PlantFactory = Callable[[Any, float], tuple[Plant, float]]
 
 @dataclass(frozen=True)
 class RunContext:
-    """Context of a run that opens a transport."""
+    """Context of a run for the opening of a transport."""
 
     conversion: Conversion  # of the wire's units
     dt_s: float  # sample time of the loop [s]
@@ -259,16 +255,16 @@ class TransportBase(Settings):
     @property
     @abstractmethod
     def place(self) -> str:
-        """Where the device is, as messages name it."""
+        """Location of the device, for messages."""
 
     def resolved(self, folder: Path) -> Self:
-        """The same settings with file names that start at `folder`."""
+        """Same settings with file names resolved against `folder`."""
         del folder
         return self
 
     @abstractmethod
     def open(self, run: RunContext) -> Transport:
-        """The transport, open.
+        """Open the transport.
 
         Raises:
             ConfigError: if the wire cannot be opened, or a package is missing for it.
@@ -283,7 +279,7 @@ _REMEMBERED = 64  # sessions that have ended; what claims to come from one of th
 
 @final
 class Order:
-    """Detects repeated, reordered and replayed messages; sequence numbers wrap at 2^32."""
+    """Detector of repeated, reordered and replayed messages; sequence numbers wrap at 2^32."""
 
     def __init__(self) -> None:
         self._session: int | None = None
@@ -296,7 +292,7 @@ class Order:
         return {"session": self._session or 0, "sequence": self._sequence}
 
     def judge(self, session: int, sequence: int) -> str:
-        """`NEW`, `RESTARTED` (new as well) or `REPLAYED`; messages that never came are added to `lost`."""
+        """Classify a message as `NEW`, `RESTARTED` (new as well) or `REPLAYED`; count missing messages in `lost`."""
         if session == self._session:
             ahead = (sequence - self._sequence) & 0xFFFFFFFF
             if not 0 < ahead < _HALF:
@@ -318,7 +314,7 @@ ANOTHER, NO_GREETING, OLD = "another controller", "no greeting", "replayed-or-re
 
 @final
 class Admission:
-    """Exclusive access of one controller: its greeting opens a session, its goodbye or a silence frees the device.
+    """Exclusive access of one controller: a greeting opens its session, a goodbye or a silence ends it.
 
     After a silence of `silence_s` [s] another greeting ends the session. Messages of others are refused meanwhile and
     change nothing. A session that has ended is not resumed.
@@ -337,7 +333,7 @@ class Admission:
         return None if self._pinned is None else self._pinned[1]
 
     def admit(self, says: Says, sender: object, session: int, sequence: int, now_ns: int) -> str:
-        """Reason for refusing a message, empty where it is admitted.
+        """Reason for refusing a message, empty if it is admitted.
 
         The goodbye of a session that has never commanded ends the session and is refused. `sender` is an address, or
         the writer of a topic.

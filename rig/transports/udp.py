@@ -122,7 +122,6 @@ _GOODBYES = 3
 
 
 def _open(host: str, port: int, what: str) -> socket.socket:
-    """A socket that is bound and does not block."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     wire = socket.socket(family, socket.SOCK_DGRAM)
     try:
@@ -137,7 +136,7 @@ def _open(host: str, port: int, what: str) -> socket.socket:
 
 @final
 class UdpTransport(Transport):
-    """The controller's end. Only the configured device is heard; until it answers it is greeted ten times a second.
+    """Controller's end over UDP. Only the configured device is heard; it is greeted until it answers, at 10 Hz.
 
     Raises:
         ConfigError: if the own address cannot be had or the device's is none.
@@ -179,7 +178,7 @@ class UdpTransport(Transport):
         return None
 
     def reading(self, data: bytes, received_ns: int) -> Reading | None:
-        """The reading of a datagram; an invalid one is counted."""
+        """Decode the reading of a datagram; an invalid one is counted."""
         message = decode(data)
         if isinstance(message, str):
             self._counters[message] += 1
@@ -192,7 +191,7 @@ class UdpTransport(Transport):
         return Reading(angle, message.sequence, message.session, message.stamp_ns, received_ns, held)
 
     def numbers(self) -> Mapping[str, float]:
-        """Socket, session and conversion by which a loop in C reads and writes here."""
+        """Socket, session and conversion for reading and writing by a loop in C."""
         conversion = self._conversion
         return {
             "descriptor": self._wire.fileno(),
@@ -211,7 +210,7 @@ class UdpTransport(Transport):
         self._send(Kind.COMMAND, self._conversion.raw_command(command))
 
     def greet(self) -> None:
-        """Ask the device to listen; a missing one is counted."""
+        """Ask the device to listen; a missing device is counted."""
         self._greeted_ns = time.monotonic_ns()
         try:
             self._send(Kind.HELLO, 0.0)
@@ -219,7 +218,7 @@ class UdpTransport(Transport):
             self._counters["nobody listens"] += 1
 
     def stop(self, goodbye: bool = False) -> None:
-        """Close, after several goodbyes where that is wanted, since one may be lost."""
+        """Close the transport, after several goodbyes if wanted, since one may be lost."""
         if not self._open:
             return
         self._open = False
@@ -235,7 +234,7 @@ class UdpTransport(Transport):
 
 @final
 class UdpLink(DeviceLink):
-    """The device's end: one controller at a time, see `Admission`.
+    """Device's end over UDP, for one controller at a time, see `Admission`.
 
     Args:
         silence_s: how long a controller has to be silent before another may take its place [s].
@@ -256,7 +255,7 @@ class UdpLink(DeviceLink):
 
     @property
     def port(self) -> int:
-        """The port it listens at."""
+        """Port on which it listens."""
         return int(self._wire.getsockname()[1])
 
     @property
@@ -304,7 +303,7 @@ class UdpLink(DeviceLink):
 
 
 class UdpSettings(TransportBase):
-    """`kind: udp`: datagrams to a device and back.
+    """Transport `kind: udp`: datagrams to a device and back.
 
     Attributes:
         host, port: of the device.
@@ -334,7 +333,7 @@ class UdpSettings(TransportBase):
 
 
 class UdpListenSettings(Settings):
-    """`kind: udp`: address of the device; port 0 takes a free one, which is printed.
+    """Link `kind: udp`: address of the device; port 0 takes a free one, which is printed.
 
     Attributes:
         bind_host: address where it listens.
@@ -353,7 +352,7 @@ class UdpListenSettings(Settings):
         return self
 
     def listen(self, silence_s: float, through: SocketWrapper | None) -> DeviceLink:
-        """The device's end of the wire, behind the faults that `through` puts before the socket.
+        """Open the device's end of the wire; `through` injects faults in front of the socket.
 
         Raises:
             ConfigError: if the address cannot be had.
@@ -370,6 +369,6 @@ def is_loopback(host: str) -> bool:
 
 
 def _require_local(name: str, host: str, allow_network: bool) -> None:
-    """Refuse addresses beyond the loopback unless they were allowed; the error is pydantic's to report."""
+    """Refuse addresses beyond the loopback unless they are allowed; pydantic reports the error."""
     if not (is_loopback(host) or allow_network):
         raise ValueError(f"got {name} {host!r}, expected a loopback address, or `allow_network: true`")
