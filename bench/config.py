@@ -62,7 +62,7 @@ class InvestigateBlock(Settings):
 
 
 class CommissionSettings(BenchSettings):
-    """Settings in a bench file with the block `commission`.
+    """Settings of a whole bench file for `hystmpc commission`, with its block `commission`.
 
     Attributes:
         commission: what may be done.

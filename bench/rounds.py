@@ -199,7 +199,7 @@ def judge_round(
 
 
 def round_verdict(diagnosis: Diagnosis, trials: int) -> RoundVerdict:
-    """Verdict of a round from the diagnosis."""
+    """What one round of recordings has shown, by its diagnosis."""
     gap = diagnosis.gap
     return RoundVerdict(
         verdict=diagnosis.verdict,

@@ -210,7 +210,7 @@ class StudyResult:
         return tuple(dict.fromkeys(result.controller for result in self.results))
 
     def plot(self, motion: str | None = None) -> Figure:
-        """Draw angle and command of every controller along one motion, the first where left out."""
+        """Draw angle and command of every controller along one motion; the default is the first motion."""
         return controllers_figure(self.of_motion(motion or self.motions[0]), looks(self.controllers), self.unit)
 
     def _repr_html_(self) -> str:

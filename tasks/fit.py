@@ -59,9 +59,13 @@ class Fit:
     def __repr__(self) -> str:
         return in_brief(self, f"{self.kind} from {len(self.trials)} trials: {self.identified.report}")
 
-    @cached_property
+    @property
     def model(self) -> LoadedModel:
         """Model of the fit, equal to that opened by `load_model` from a file."""
+        return self._model
+
+    @cached_property
+    def _model(self) -> LoadedModel:
         if self.identified.simulator is not None:
             from hystmpc.models.simulator import ChainModel
 

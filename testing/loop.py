@@ -116,7 +116,7 @@ class LoopContract(Wired):
         self._stops(True, reads=spoilt)
 
     def test_a_reading_from_the_future_ends_in_a_stop(self) -> None:
-        """A time stamp in the future, with which no angle would ever be old, stops the run."""
+        """A time stamp in the future stops the run: with it stale angles would pass as fresh."""
 
         def ahead(reading: Reading | None) -> Reading | None:
             return reading and replace(reading, received_ns=reading.received_ns + 10**15)

@@ -263,7 +263,7 @@ class SignalSettings(Settings):
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core: Any, handler: Any) -> dict[str, Any]:
-        """JSON schema of the block, or of the name of the signal alone."""
+        """JSON schema that accepts a block of keys or the bare name of a signal."""
         return {"anyOf": [{"type": "string", "minLength": 1}, dict(handler.resolve_ref_schema(handler(core)))]}
 
 

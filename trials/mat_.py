@@ -213,7 +213,7 @@ _LEAST = 8  # bytes that any element of these takes
 
 
 def _require_bounded(path: str, data: bytes) -> None:
-    """Refuse a file whose content exceeds the memory, or whose cells exceed the file; version 4 is uncompressed."""
+    """Refuse a MATLAB file that would unpack to more than the memory limit or claims more cells than bytes."""
     ends = {b"IM": "<", b"MI": ">"}.get(data[126:128])
     if ends is None or not any(data[:4]):
         return

@@ -72,7 +72,7 @@ def first_memory(v: float, side: float) -> Vec:
 
 
 def lag_shares(dt: float) -> Vec:
-    """Response of each lag of the grid to a unit step after one sample."""
+    """Unit step response after one sample of each first-order lag of the basis."""
     return np.array([1.0 if tau == 0 else -math.expm1(-dt / tau) for tau in LAGS_S])
 
 

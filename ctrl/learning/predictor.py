@@ -63,7 +63,7 @@ class LearnedPredictor(Predictor):
         return np.concatenate([self.model.initial(y, u), *part])
 
     def with_learned(self, below: Vec, bank: BankState) -> Vec:
-        """Return the model's state `below` joined with the learned part of a bank at the same instant."""
+        """Join the state of the model with that of the learned part at the same instant."""
         ends = self._bank.lags[bank.lag], float(bank.delay)
         return np.concatenate([below, bank.history[bank.delay, bank.lag], bank.queue, bank.weights, bank.start, ends])
 

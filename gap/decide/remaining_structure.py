@@ -244,7 +244,7 @@ class Jumps:
 
     @property
     def mse(self) -> float:
-        """Energy of a sawtooth of the jump height [deg^2], which no free run can predict."""
+        """Mean square [deg^2] of a sawtooth with the height of the jumps: error that no free run can avoid."""
         return self.height_deg**2 / 12.0 if self.seen else 0.0
 
     def note(self, unit: str) -> str:

@@ -133,7 +133,7 @@ def _shifts(first: Trial, second: Trial, a: Index, b: Index, band: float, same: 
 def _longest_repeat(
     pair: tuple[int, int], trials: tuple[Trial, Trial], shift: int, band: float, least: float
 ) -> RepeatedMotion | None:
-    """Longest equal part near a given shift, which is refined to a fraction of a sample."""
+    """Longest stretch of two equal commands near a given time shift, and the shift refined within a sample."""
     u, v = trials[0].command, trials[1].command
     start, stop = _longest(np.abs(_shifted(v, shift, u.size) - u) <= 4 * band)
     if (stop - start) * trials[0].dt < _LEAST_S:

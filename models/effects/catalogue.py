@@ -489,7 +489,7 @@ def diagnosable() -> tuple[str, ...]:
 
 
 def candidates(scale: Scale, in_core: Iterable[str], without: Sequence[str] = ()) -> tuple[Candidate, ...]:
-    """Forms of all effects that change the simulated angle, with bounds and starts for the size of the data.
+    """Candidate operators of all effects that change the angle, with bounds and start values for these data.
 
     Args:
         in_core: effects for which the core of the nominal simulator has a parameter.

@@ -73,7 +73,7 @@ def needed(before: Blocks, after: Blocks) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """Device during the search."""
+    """Structure of the device model that the search has chosen so far."""
 
     core: CoreForm
     forms: dict[str, Form]

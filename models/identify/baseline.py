@@ -139,7 +139,7 @@ class FreeCoreBaseline(Baseline):
         typical = {"cmd": 0.05 * span, "deg/cmd": 0.1 * gain, "deg": 0.05 * gain * span, "s": 0.02}
         little = {"1/cmd": 0.1 / span}
         scale = [
-            typical.get(p.unit, max(0.1 * abs(v), little.get(p.unit, 1e-3) if v == 0 else 1e-3))
+            typical[p.unit] if p.unit in typical else max(0.1 * abs(v), little.get(p.unit, 1e-3) if v == 0 else 1e-3)
             for v, p in zip(values, parameters, strict=True)
         ]
         ends = np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])

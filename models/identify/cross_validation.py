@@ -226,7 +226,7 @@ class CrossValidation:
                 (tuple(run for k, run in enumerate(self.runs) if k not in fold), {k: self.runs[k] for k in fold})
                 for fold in self.folds
             )
-        (run,), splits = self.runs, []
+        run, splits = next(iter(self.runs)), []
         for part in np.array_split(np.flatnonzero(run.counts), LARGEST_FOLDS):
             third = np.zeros(run.counts.size, dtype=bool)
             third[part] = True

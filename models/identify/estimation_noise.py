@@ -233,7 +233,7 @@ def _step(values: Vec, levels: Vec) -> float:
 
 
 def _grid_fit(levels: Vec, guess: float, values: Vec) -> tuple[float, float]:
-    """Step near the guess, by regression of levels on integers, and the share of values on that grid."""
+    """Quantisation step near a guess, by regression on integers, and the share of values on its grid."""
     numbers = np.concatenate([[0.0], np.cumsum(np.rint(np.diff(levels) / guess))])
     if numbers[-1] + 1 < min(_MANY_LEVELS, levels.size):
         return 0.0, 0.0

@@ -223,7 +223,7 @@ class Slack(Memoryless):
 @final
 @dataclass(frozen=True)
 class Contact(Memoryless):
-    """Contact: beyond an angle the slope falls to a share, at once or over a toe, as soft tissue stiffens.
+    """Contact with an obstacle: beyond an angle the output rises by a share of the input only, at once or gradually.
 
     y = u - (1 - stiffness_ratio) d,  d = 0                      u <= angle
                                       d = (u - angle)^2 / (2 toe)   between, where its slope rises from 0 to 1

@@ -214,7 +214,7 @@ class TrajectoryExcitation(Settings):
         """Trajectory of the commands over time."""
 
     def commands(self, rate_hz: float, ramps: RampSettings) -> Vec:
-        """Commands (N,)."""
+        """Sampled commands of the recording, shape (N,)."""
         del ramps
         return sample(self.trajectory(), rate_hz)[1]
 
@@ -297,7 +297,7 @@ class StopsSettings(Settings):
         return self
 
     def commands(self, rate_hz: float, ramps: RampSettings) -> Vec:
-        """Commands (N,)."""
+        """Sampled commands of the recording, shape (N,)."""
         return np.concatenate(
             [[self.start], waypoint_commands(self.start, self.stops, self.holds_s, ramps, 1 / rate_hz)]
         )

@@ -112,7 +112,7 @@ class MotionWatch:
 
     @property
     def _onward_travel(self) -> float:
-        """Travel of v in the direction of the last motion, where no play remains."""
+        """Command travel in the direction of the last motion, counted from where the angle began to follow."""
         beyond = self._most - self._engaged if self._direction > 0 else self._engaged - self._least
         return beyond if self._direction else 0.0
 

@@ -175,7 +175,7 @@ def rest_of(simulator: Simulator, commands: Range) -> float:
 
 
 def conditioned(simulator: Simulator, commands: Range) -> tuple[float, Vec]:
-    """Return angle [deg] and state at the rest command after the initialisation flexure and a rest.
+    """Return angle [deg] and state after a full bend and return to the rest command, once the device has settled.
 
     The rest lasts until lags have settled, and creep within ten minutes. Clock-driven effects are frozen until the run
     starts. Before the flexure the device is at its lowest command.
