@@ -49,7 +49,7 @@ def test_a_mutant_is_killed_in_a_copy_and_one_that_changes_nothing_survives(copy
     wrong = mutants.Mutant("no clip", file, "return min(max(u if", "return 0.0 * min(max(u if", tests)
     found = copy.judged(wrong)
     assert (found.verdict, "test_limits.py::" in found.by) == ("killed", True)
-    harmless = mutants.Mutant("words", file, '"""The command: what', '"""A command: what', tests)
+    harmless = mutants.Mutant("words", file, "import annotations\n", "import annotations  # words\n", tests)
     assert copy.judged(harmless).verdict == "survived"
     assert (ROOT / file).read_bytes() == before == (copy.root / file).read_bytes()
 
