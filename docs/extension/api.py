@@ -19,7 +19,7 @@ MODULES = (
 )
 
 _CODE = 4  # columns from which on a line is code
-_MARKUP = re.compile(r"\|[^|`]*\||(?<=\w)_(?=[\s.,;:)\]]|$)")
+_MARKUP = re.compile(r"\|[^|`]*\||(?<=\w)_(?=[\s.,;:)\]]|$)|\*(?=\.\w)")
 
 
 def text() -> str:
@@ -63,7 +63,7 @@ def plain(_app: Any, _what: str, _name: str, _value: Any, _options: Any, lines: 
     """Escape what is markup to Sphinx and plain text to the author of a docstring; after napoleon."""
     for k, line in enumerate(lines):
         if _indent(line) < _CODE:
-            lines[k] = _MARKUP.sub(lambda found: found[0].replace("|", "\\|").replace("_", "\\_"), line)
+            lines[k] = _MARKUP.sub(lambda found: re.sub(r"[|_*]", r"\\\g<0>", found[0]), line)
 
 
 def _indent(line: str) -> int:

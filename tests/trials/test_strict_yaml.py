@@ -211,7 +211,7 @@ def test_the_program_ends_with_2_and_one_line(name: str, tmp_path: Path, capsys:
     finally:
         sys.argv = before
     said = capsys.readouterr().err.splitlines()
-    error = [line for line in said if not line.startswith("simulate: ")]  # progress, where reading takes over two seconds
+    error = [line for line in said if not line.startswith("simulate: ")]  # progress, on a slow machine
     assert end.value.code == 2
     assert len(error) == 1
     assert error[0].startswith(f"error: {file}")
