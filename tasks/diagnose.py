@@ -41,7 +41,7 @@ def diagnose(
         layout: layout of the logs: auto, canonical, tendon-catheter, or a mapping file *.yaml.
         seed: seed of everything drawn at random.
         without: leave this effect out of the library.
-        only: restrict the library to this effect; may be repeated.
+        only: restrict the library to this effect.
         ordered: the logs are in recording order. Else time stamps or a manifest may tell it; where they do not, the
             result does not depend on the order given.
         skip_first_flexure: count each trial only from the command's first reversal on.

@@ -180,6 +180,13 @@ def installed_objects(group: str, what: str, kind: type[T], taken: Iterable[str]
     return objects
 
 
+def hint_for(name: str, known: Iterable[str], of_laboratory: Iterable[str]) -> str:
+    """Advice for an unknown name: how to install the laboratory if that has it, otherwise the nearest known name."""
+    if name in of_laboratory:
+        return "a part of the laboratory: pip install 'hystmpc[papers]'"
+    return did_you_mean(name, known)
+
+
 def with_kind(known: Iterable[str], group: str) -> Callable[[Any], Any]:
     """Validator of a block with `kind: NAME` or `python: MODULE:CLASS`; the latter becomes `kind: python`.
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cache
 
-from hystmpc.trials.errors import FitError, did_you_mean
-from hystmpc.trials.from_outside import installed, installed_objects
+from hystmpc.trials.errors import FitError
+from hystmpc.trials.from_outside import hint_for, installed, installed_objects
 
 from ..identify.chain_kinds import CHAIN_KINDS
 from .kind import ModelKind
@@ -14,8 +14,8 @@ from .kind import ModelKind
 GROUP = "hystmpc.kinds"
 """Entry points by which installed packages add a kind of model; the value is MODULE:NAME of a `ModelKind`."""
 
-
 _BUILT_IN = ("auto", *CHAIN_KINDS, "lstm", "gru", "play_kernel")
+_OF_THE_LABORATORY = ("fnn", "fnn_hib", "hb1", "hb2", "svr")
 
 
 def _built_in(name: str) -> ModelKind:
@@ -57,7 +57,8 @@ def kind_named(name: str) -> ModelKind:
     if name in _BUILT_IN:
         return _built_in(name)
     if name not in _others():
-        raise FitError(f"no kind of model {name!r}, {did_you_mean(name, [*_BUILT_IN, *_others()])}")
+        hint = hint_for(name, [*_BUILT_IN, *_others()], _OF_THE_LABORATORY)
+        raise FitError(f"no kind of model {name!r}, {hint}")
     return _others()[name]
 
 

@@ -8,7 +8,7 @@ from dataclasses import asdict, fields, replace
 from typing import Any
 
 from hystmpc.trials.errors import ConfigError, did_you_mean
-from hystmpc.trials.from_outside import installed_objects
+from hystmpc.trials.from_outside import hint_for, installed_objects
 from hystmpc.trials.json_text import plain
 
 from .device import Device, NamedDevice
@@ -43,9 +43,7 @@ def device_parameters(name: str, parameters: Mapping[str, float], factors: Mappi
             bounds.
     """
     if name not in DEVICES:
-        where = "a device of the laboratory: pip install 'hystmpc[papers]'"
-        hint = where if name in _OF_THE_LABORATORY else did_you_mean(name, DEVICES)
-        raise DeviceError(f"no device {name!r}, {hint}", ("device",))
+        raise DeviceError(f"no device {name!r}, {hint_for(name, DEVICES, _OF_THE_LABORATORY)}", ("device",))
     made = DEVICES[name].parameters()
     known = {f.name: f for f in fields(made)}
     values: dict[str, Any] = {}

@@ -69,3 +69,11 @@ def test_a_model_that_a_line_would_beat_is_refused(monkeypatch: pytest.MonkeyPat
         identified(kind, [GOOD], request)
     assert len(str(raised.value)) <= 300
     assert identified(kind, [GOOD], replace(request, steps=3)).simulator is not None  # asked to stop early
+
+
+def test_a_kind_of_model_of_the_laboratory_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hystmpc.models.kinds.catalogue._others", dict)
+    with pytest.raises(FitError, match=r"no kind of model 'hb1', a part of the laboratory: pip install 'hystmpc\[pa"):
+        kind_named("hb1")
+    with pytest.raises(FitError, match=r"no kind of model 'pj', .*pi"):
+        kind_named("pj")

@@ -123,7 +123,7 @@ def test_parameters_and_factors_reach_the_device() -> None:
 def test_a_device_of_the_laboratory_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """The line says what to install; a name that nobody has gets the nearest right one."""
     monkeypatch.setattr("hystmpc.sim.devices.names.DEVICES", {"tendon": DEVICES["tendon"]})
-    with pytest.raises(ConfigError, match=r"no device 'rod', a device of the laboratory: pip install 'hystmpc\[pa"):
+    with pytest.raises(ConfigError, match=r"no device 'rod', a part of the laboratory: pip install 'hystmpc\[pa"):
         named_device("rod", {}, {})
     with pytest.raises(ConfigError, match=r"no device 'tedon', .*tendon"):
         named_device("tedon", {}, {})
