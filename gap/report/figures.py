@@ -43,7 +43,7 @@ LOOK: dict[Stage, Any] = {
     stage: {"color": COLOUR[stage], "linestyle": dash, "label": LABEL[stage]} for stage, dash in _DASH.items()
 }
 MARKER: dict[Stage, str] = {"nominal": "s", "retuned": "o", "with_effects": "D"}
-REAL: Any = {"color": MEASURED, "linewidth": 2.6, "alpha": 0.5, "label": "real"}
+REAL: Any = {"color": MEASURED, "linewidth": 2.6, "alpha": 0.5, "label": "measured"}
 COMMANDED: Any = {"color": COMMAND, "linewidth": 0.9}
 INTERVAL: Any = {"color": REFERENCE, "linewidth": 1.1, "capsize": 2.5, "capthick": 1.1, "fmt": "none"}
 BEFORE: Any = {"color": ACCENTS[2], "linewidth": 1.0, "linestyle": DASHES[1], "label": "before"}
