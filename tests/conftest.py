@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -28,9 +29,14 @@ def fast(config: pytest.Config) -> bool:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Take fewer examples where the slow tests are left out."""
+    """Take fewer examples where the slow tests are left out, and let Ctrl-C reach programs that tests start.
+
+    A shell lets what runs in the background ignore SIGINT, and every program started there inherits it.
+    """
     if fast(config):
         settings.load_profile("fast")
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.hookimpl(optionalhook=True)

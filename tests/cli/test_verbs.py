@@ -220,11 +220,14 @@ def test_ctrl_c_during_training_keeps_the_best_so_far(logs: list[Path], tmp_path
         [sys.executable, "-c", program, *arguments], stdout=subprocess.PIPE, stderr=terminal, text=True
     )
     os.close(terminal)
-    seen = shown_until(screen, "best ")
-    process.send_signal(signal.SIGINT)
-    seen += shown_until(screen, "interrupted")
-    out, _ = process.communicate(timeout=120)
-    os.close(screen)
+    try:
+        seen = shown_until(screen, "best ")
+        process.send_signal(signal.SIGINT)
+        seen += shown_until(screen, "interrupted")
+        out, _ = process.communicate(timeout=120)
+    finally:
+        process.kill()  # a training that did not end would go on for hours
+        os.close(screen)
     assert process.returncode == 0, seen
     assert "interrupted" in seen
     assert target.exists()
