@@ -1,4 +1,4 @@
-"""Settings of benches, experiments and simulated transports, shared by `run` and `record`, and those of `run` alone."""
+"""Settings of benches and experiments, shared by `run` and `record`, and those of `run` alone."""
 
 from __future__ import annotations
 
