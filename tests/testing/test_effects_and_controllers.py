@@ -213,7 +213,7 @@ def test_an_installed_effect_is_listed_and_named_by_a_diagnosis(lab: Path) -> No
         "from hystmpc.gap.self_test import self_test\n"
         "from hystmpc.models.effects.catalogue import EFFECTS\n"
         "assert 'screw_error' in EFFECTS\n"
-        "print(self_test(cases=['screw_error'])[0].found)"
+        "print(self_test(cases=['screw_error'])[0].named)"
     )
     done = _installed(lab / "effect", points, code)
     assert done.stdout.split(",")[0].strip() == "screw_error", done.stderr
