@@ -14,6 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 # files at the root, counts as one.
 TIERS = (
     ("trials",),
+    ("core",),
     ("models",),
     ("trajectories",),
     ("ctrl",),
@@ -88,7 +89,7 @@ def modules(root: Path = ROOT) -> tuple[Module, ...]:
 
 @lru_cache
 def _parsed_once(root: Path) -> tuple[Module, ...]:
-    front = sorted(root.glob("*.py"))
+    front = sorted(path for path in root.glob("*.py") if path.name != "setup.py")  # no part of the package
     rooms = [path for room in (*ROOMS, LAB) for path in sorted((root / room).rglob("*.py"))]
     return tuple(Module(root, path) for path in (*front, *rooms) if SCRIPTS not in path.parents)
 

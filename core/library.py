@@ -1,0 +1,125 @@
+"""The engine's shared library of this processor: found, checked against its C files, loaded, its functions bound.
+
+The prototypes of the headers say which arguments a function takes: `const double *x` is a contiguous float64 array,
+`int n` a whole number. Nothing else in Python knows C.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import re
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from filelock import FileLock
+
+from hystmpc.trials.errors import HystmpcError
+
+from .build import build, digest, file_name, levels, sources
+
+FOLDER = Path(__file__).resolve().parent
+"""Place of the C files and of the libraries."""
+
+
+@cache
+def engine(level: str | None = None) -> Any:
+    """Functions of the engine by their names without `hystmpc_`; a call releases the interpreter's lock.
+
+    A wheel brings the library. In a checkout it is compiled again where a C file has changed since.
+
+    Args:
+        level: of vector instructions, for tests; the best one of this processor where left out.
+
+    Raises:
+        HystmpcError: if the library is missing or older than the C files, and cannot be compiled.
+    """
+    plain = _current("plain")
+    if level is None:
+        best = int(plain.hystmpc_level())
+        level = next(name for name in levels() if name == "plain" or int(name[1:]) <= best)
+    return bound(plain if level == "plain" else _current(level), FOLDER)
+
+
+def bound(library: ctypes.CDLL, folder: Path) -> Any:
+    """Functions of a library whose prototypes stand in the headers of a folder, behind `HYSTMPC_API`."""
+    functions = SimpleNamespace()
+    for result, name, arguments in _prototypes(folder):
+        function = library[name]
+        function.argtypes = [_argument(words) for words in arguments]
+        function.restype = None if result == "void" else ctypes.c_char_p if "*" in result else _NUMBERS[result]
+        setattr(functions, name.removeprefix("hystmpc_"), function)
+    return functions
+
+
+class _Array:
+    """Argument that points to the numbers of a contiguous array of one type; None is a null pointer."""
+
+    kind: np.dtype[Any]
+
+    @classmethod
+    def from_param(cls, array: Any) -> Any:
+        if array is None:
+            return None
+        if array.dtype != cls.kind or not array.flags.c_contiguous:
+            raise TypeError(f"got an array of {array.dtype} or not contiguous, expected contiguous {cls.kind}")
+        if array.flags.writeable and array.size:
+            return ctypes.byref(ctypes.c_char.from_buffer(array))
+        return ctypes.c_void_p(array.ctypes.data)
+
+
+_NUMBERS = {"int": ctypes.c_int, "long": ctypes.c_long, "double": ctypes.c_double, "float": ctypes.c_float}
+_ARRAYS = {
+    name: type(f"_{name}", (_Array,), {"kind": np.dtype(kind)})
+    for name, kind in {"double": np.float64, "float": np.float32, "int": np.intc, "char": np.uint8}.items()
+}
+_PROTOTYPE = re.compile(r"^HYSTMPC_API ([\w ]+?\**) ?\**(\w+)\(([^)]*)\);", re.MULTILINE)
+
+
+def _prototypes(folder: Path) -> Iterator[tuple[str, str, list[str]]]:
+    """Result, name and arguments of every function that the headers offer."""
+    for file in sources(folder):
+        if file.suffix == ".h":
+            text = re.sub(r"/\*.*?\*/", "", file.read_text(encoding="utf-8"), flags=re.DOTALL)
+            for match in _PROTOTYPE.finditer(text):
+                result = match[0].removeprefix("HYSTMPC_API ").split(match[2])[0].replace("const ", "").strip()
+                arguments = [one.strip() for one in " ".join(match[3].split()).split(",")]
+                yield result, match[2], [one for one in arguments if one != "void"]
+
+
+def _argument(words: str) -> Any:
+    kind = words.replace("const ", "").split()[0].rstrip("*")
+    if "*" not in words and "[" not in words:
+        return _NUMBERS[kind]
+    return _ARRAYS.get(kind, ctypes.c_void_p)
+
+
+def _current(level: str) -> ctypes.CDLL:
+    path = FOLDER / file_name(level)
+    if not _fresh(path):
+        _rebuild(path)
+    if not _fresh(path):
+        raise HystmpcError(f"{path}: got a library of other C files than those beside it; install the package again")
+    return ctypes.CDLL(str(path))
+
+
+def _fresh(path: Path) -> bool:
+    """Whether the library is there and of the present C files; a stale one must not be loaded, it would stay."""
+    return path.exists() and _digest().encode() in path.read_bytes()
+
+
+@cache
+def _digest() -> str:
+    return digest(FOLDER)
+
+
+def _rebuild(path: Path) -> None:
+    try:
+        with FileLock(FOLDER / ".building.lock"):
+            if not _fresh(path):  # nobody else has compiled it meanwhile
+                build(FOLDER, FOLDER)
+    except (OSError, RuntimeError) as error:
+        raise HystmpcError(f"the engine is not compiled, and cannot be: {error}") from None
