@@ -1,0 +1,64 @@
+/* Chains: operators in series (or wired otherwise), each a program; simulation, slopes, states at rest, inverse.
+ *
+ * A chain is a block of whole numbers and its constants:
+ *
+ *     stages, states, parameters, kept, signals, inputs, outputs, then the signals that are outputs
+ *     9 a stage          where its table begins, where that of its state at rest (-1: none), first state, first parameter,
+ *                        first kept value, first constant, constants of the step, constants of the state at rest, where
+ *                        its wires begin: signals that it reads, signals that it writes
+ *     wires, tables
+ *
+ * Signals 0 ... inputs - 1 are the commands. One axis has one input and one output; stage k reads signal k.
+ *
+ * Memory for a call is given by the caller: bytes by the function beside it. `kept` (K, N) are the values that parameters
+ * and sample time alone decide, by hystmpc_chain_prepare. */
+#ifndef HYSTMPC_CHAIN_H
+#define HYSTMPC_CHAIN_H
+
+#include "program.h"
+
+/* kept (K, rows) by parameters (P, rows), the same sample time dt [s] in all rows; room for `registers` numbers. */
+HYSTMPC_API void hystmpc_chain_prepare(const int *chain, const real *constants, const real *parameters, int rows,
+                                       double dt, real *kept, real *room);
+
+/* Bytes of memory for the functions below; directions: 0 where nothing is differentiated. */
+HYSTMPC_API long hystmpc_chain_bytes(const int *chain, int rows, int directions);
+
+/* Free run of N rows over T samples.
+ *
+ * u, y: entry j of sample t of row n at [j stride[0] + t stride[1] + n stride[2]], each with three strides.
+ * x: state i of row n at [i stride[0] + n stride[1]]; overwritten by the state behind the last sample where `moves`.
+ * kept: (K, kept_rows), kept_rows = N, or 1 for the same parameters in all rows. */
+HYSTMPC_API void hystmpc_chain_simulate(const int *chain, const real *kept, int kept_rows, int rows, int samples,
+                                        const real *u, const int *u_stride, real *x, const int *x_stride, int moves,
+                                        real *y, const int *y_stride, char *memory);
+
+/* Free runs of N rows laid end to end, with derivatives in D directions by forward sensitivity.
+ *
+ *     m' = (dg/dx) m + (dg/du) du + (dg/dp) s,    dy = (df/dx) m + (df/du) du + (df/dp) s
+ *
+ * first: (N + 1), run n has samples first[n] to first[n + 1].    u: (inputs, T).    du: (inputs, T, D), or null for zero.
+ * seeds: s (P, D).    x: (S, N), m: (S, N, D), overwritten by those behind the last sample.    y: (outputs, T).
+ * dy: (outputs, T, D). */
+HYSTMPC_API void hystmpc_chain_differentiate(const int *chain, const real *kept, int rows, const int *first,
+                                             const real *u, const real *du, int directions, const real *seeds, real *x,
+                                             real *m, real *y, real *dy, char *memory);
+
+/* States at rest (S, N) of one stage and their derivatives m (S, N, D), at input u (N) and output seen (N) with
+ * derivatives du and dseen (N, D); parameters (P, N) or (P, 1) of the stage, seeds (P, D); room for the registers and
+ * the rows of its table at rest. */
+HYSTMPC_API void hystmpc_chain_rest(const int *chain, const real *constants, int stage, int rows, const real *u,
+                                    const real *du, const real *seen, const real *dseen, const real *parameters,
+                                    int parameter_rows, int directions, const real *seeds, real *x, real *m, real *room);
+HYSTMPC_API int hystmpc_chain_rest_room(const int *chain, int stage);
+
+/* One sample of a chain with one input and one output: the angle; x (S) moves on. room: hystmpc_chain_single_room. */
+HYSTMPC_API double hystmpc_chain_step(const int *chain, const real *kept, real *x, double u, real *room);
+HYSTMPC_API int hystmpc_chain_single_room(const int *chain);
+
+/* The command in [low, high] that brings the next angle to `wanted`, nearest to `last` on a flat branch; the angle does
+ * not fall with the command. Newton's method on the exact derivative inside a shrinking bracket. */
+HYSTMPC_API double hystmpc_chain_command_for(const int *chain, const real *kept, const real *x, double wanted, double low,
+                                             double high, double last, real *room);
+
+#endif

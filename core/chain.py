@@ -1,0 +1,199 @@
+"""Chains of operators in the engine: free runs, derivatives, states at rest, roll-outs, one-step inverse.
+
+Arrays in, arrays out; `chain.h` says what each function computes.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .library import engine
+
+Array = NDArray[np.float64]
+Whole = NDArray[np.intc]
+
+_own = threading.local()
+
+
+@dataclass(frozen=True, eq=False)
+class StageProgram:
+    """A step y = f(x, u, p, dt), x' = g(x, u, p, dt) as numbers, see `program.h`.
+
+    Attributes:
+        table, rest: whole numbers of the step, and of the state at rest; `rest` is empty where there is none.
+        constants, rest_constants: numbers of the two, lifted out.
+        states, inputs, parameters, outputs, kept: sizes.
+        registers: room of phase `once`.
+    """
+
+    table: Whole
+    rest: Whole
+    constants: Array
+    rest_constants: Array
+    states: int
+    inputs: int
+    parameters: int
+    outputs: int
+    kept: int
+    registers: int
+
+
+@final
+class ChainCode:
+    """Chain of stages for the engine.
+
+    Args:
+        stages: in the order of the signal.
+        wires: signals that each stage reads and those that it writes; signal 0 and the next ones are the commands. In
+            series where left out.
+        shown: signals that are outputs; the last stage's where left out.
+    """
+
+    def __init__(
+        self,
+        stages: Sequence[StageProgram],
+        wires: Sequence[tuple[Sequence[int], Sequence[int]]] | None = None,
+        shown: Sequence[int] | None = None,
+    ) -> None:
+        wires = [((k,), (k + 1,)) for k in range(len(stages))] if wires is None else wires
+        shown = [len(stages)] if shown is None else shown
+        written = {signal for _, outs in wires for signal in outs}
+        signals = max((s for ins, outs in wires for s in (*ins, *outs)), default=0) + 1
+        self.inputs, self.outputs = signals - len(written), len(shown)
+        self.states, self.parameters, self.kept = (
+            sum(getattr(stage, name) for stage in stages) for name in ("states", "parameters", "kept")
+        )
+        self.stages = tuple(stages)
+        self.code, self.constants = _block(stages, wires, shown, signals, self)
+        self._c: Any = engine()
+        self._registers = max((stage.registers for stage in stages), default=0)
+        self._single = int(self._c.chain_single_room(self.code))
+
+    def prepare(self, parameters: Array, dt_s: float) -> Array:
+        """Values (K, N) that parameters (P, N) and sample time [s] alone decide."""
+        kept = np.empty((self.kept, parameters.shape[1]))
+        room = np.empty(self._registers)
+        self._c.chain_prepare(self.code, self.constants, parameters, parameters.shape[1], dt_s, kept, room)
+        return kept
+
+    def simulate(self, kept: Array, states: Array, commands: Array) -> Array:
+        """Outputs (T, N) of N rows under commands (T, N); states (S, N) are overwritten by the last ones."""
+        samples, rows = commands.shape
+        outputs = np.empty((samples, rows))
+        stride = _strides(0, rows, 1)
+        self._run(kept, rows, samples, commands, stride, states, _strides(rows, 1), 1, outputs, stride)
+        return outputs
+
+    def simulate_rows(self, kept: Array, states: Array, commands: Array) -> Array:
+        """The same with rows first: commands and outputs (N, T), states (N, S)."""
+        rows, samples = commands.shape
+        outputs = np.empty((rows, samples))
+        stride = _strides(0, 1, samples)
+        self._run(kept, rows, samples, commands, stride, states, _strides(1, self.states), 1, outputs, stride)
+        return outputs
+
+    def roll_out(self, kept: Array, state: Array, plans: Array) -> Array:
+        """Outputs (N, H) of plans (N, H), all from one state (S,)."""
+        rows, samples = plans.shape
+        outputs = np.empty((rows, samples))
+        stride = _strides(0, 1, samples)
+        self._run(kept, rows, samples, plans, stride, state, _strides(1, 0), 0, outputs, stride)
+        return outputs
+
+    def _run(self, kept: Array, rows: int, samples: int, u: Array, us: Whole, x: Array, xs: Whole, moves: int,
+             y: Array, ys: Whole) -> None:  # fmt: skip
+        memory = _memory(self._c.chain_bytes(self.code, rows, 0))
+        self._c.chain_simulate(self.code, kept, kept.shape[1], rows, samples, u, us, x, xs, moves, y, ys, memory)
+
+    def differentiate(
+        self, kept: Array, first: Whole, u: Array, du: Array | None, seeds: Array, states: Array, slopes: Array
+    ) -> tuple[Array, Array]:
+        """Outputs (T,) and derivatives (T, D) of runs laid end to end; one input and one output.
+
+        Args:
+            first: first sample of each run, and T (N + 1,).
+            u, du: input (T,) and its derivative (T, D); None for zero.
+            seeds: derivative of the parameters (P, D).
+            states, slopes: (S, N) and (S, N, D), overwritten by those behind the last samples.
+        """
+        directions, rows = seeds.shape[1], first.size - 1
+        y, dy = np.empty(u.size), np.empty((u.size, directions))
+        memory = _memory(self._c.chain_bytes(self.code, rows, directions))
+        self._c.chain_differentiate(
+            self.code, kept, rows, first, u, du, directions, seeds, states, slopes, y, dy, memory
+        )
+        return y, dy
+
+    def rest(
+        self, stage: int, u: Array, du: Array, seen: Array, by_seen: Array, parameters: Array, seeds: Array, x: Array,
+        m: Array
+    ) -> None:  # fmt: skip
+        """Fill x (S, N) and m (S, N, D), states of one stage at rest at input u and output `seen`, and derivatives."""
+        room = np.empty(self._c.chain_rest_room(self.code, stage))
+        self._c.chain_rest(
+            self.code, self.constants, stage, u.size, u, du, seen, by_seen, parameters, parameters.shape[1],
+            seeds.shape[1], seeds, x, m, room
+        )  # fmt: skip
+
+    def linearise(self, kept: Array, state: Array, plan: Array) -> tuple[Array, Array]:
+        """Outputs (H,) along one plan (H,) and their derivatives (H, H) by its commands."""
+        size = plan.size
+        moving = np.zeros((self.states, 1, size))
+        seeds, first = np.zeros((self.parameters, size)), np.array([0, size], dtype=np.intc)
+        return self.differentiate(kept, first, plan, np.eye(size), seeds, state.reshape(-1, 1).copy(), moving)
+
+    def step(self, kept: Array, state: Array, u: float) -> tuple[float, Array]:
+        """Output of one sample, and the next state (S,)."""
+        following = np.array(state, dtype=np.float64)
+        return float(self._c.chain_step(self.code, kept, following, u, np.empty(self._single))), following
+
+    def command_for(self, kept: Array, state: Array, wanted: float, low: float, high: float, last: float) -> float:
+        """Command in [low, high] whose next output is `wanted`."""
+        room = np.empty(self._single)
+        return float(self._c.chain_command_for(self.code, kept, state, wanted, low, high, last, room))
+
+
+def _block(
+    stages: Sequence[StageProgram],
+    wires: Sequence[tuple[Sequence[int], Sequence[int]]],
+    shown: Sequence[int],
+    signals: int,
+    sizes: Any,
+) -> tuple[Whole, Array]:
+    """Whole numbers and constants of a chain, see `chain.h`."""
+    head = [len(stages), sizes.states, sizes.parameters, sizes.kept, signals, sizes.inputs, len(shown), *shown]
+    at = len(head) + 9 * len(stages)
+    places: list[int] = []
+    tail: list[Any] = []
+    constants: list[Array] = [np.empty(0)]
+    x = p = k = c = 0
+    for stage, (ins, outs) in zip(stages, wires, strict=True):
+        tables = [np.array([*ins, *outs], dtype=np.intc), stage.table, stage.rest]
+        wires_at, table_at = at, at + tables[0].size
+        rest_at = table_at + stage.table.size if stage.rest.size else -1
+        places += [table_at, rest_at, x, p, k, c, stage.constants.size, stage.rest_constants.size, wires_at]
+        tail += tables
+        at += sum(table.size for table in tables)
+        x, p, k = x + stage.states, p + stage.parameters, k + stage.kept
+        constants += [stage.constants, stage.rest_constants]
+        c += stage.constants.size + stage.rest_constants.size
+    code = np.concatenate([np.array([*head, *places]), *tail]).astype(np.intc)
+    return code, np.concatenate(constants)
+
+
+def _strides(*numbers: int) -> Whole:
+    return np.array(numbers, dtype=np.intc)
+
+
+def _memory(size: int) -> NDArray[np.uint8]:
+    """Room of this thread for a call."""
+    memory: NDArray[np.uint8] | None = getattr(_own, "memory", None)
+    if memory is None or memory.size < size:
+        memory = _own.memory = np.empty(max(int(size), 1 << 20), dtype=np.uint8)
+    return memory

@@ -1,0 +1,56 @@
+/* Programs: one step of an operator, y = f(x, u, p, dt) and x' = g(x, u, p, dt), as numbers.
+ *
+ * An instruction is five whole numbers: operation, result, three arguments (program.c lists the operations). It acts on
+ * lanes, numbers side by side that do not know each other: trials, plans, or samples where nothing depends on the sample
+ * before. A block has B samples of G rows; lane t G + n is sample t of row n.
+ *
+ * A program's table, whole numbers:
+ *
+ *     1 + 18             length of this head, sizes in the order of hystmpc_program, lengths of the phases
+ *     kept               registers of the kept values behind phase `once`
+ *     5 each             instructions of all phases
+ *     3 each             slopes: by x, u or p (0, 1, 2), which entry, row of its value
+ *     states+outputs+1   first slope of every next state, of every output, and the end
+ *     n, then n states   groups of states, each of which needs itself and earlier groups alone
+ *     1+outputs+states   registers of one step: slope of the output by the input, outputs, next states
+ *
+ * The table's rows: kept values, states, next states, inputs, outputs, room. The row of a next state is that of the
+ * state one sample later. */
+#ifndef HYSTMPC_PROGRAM_H
+#define HYSTMPC_PROGRAM_H
+
+#include "hystmpc_core.h"
+#include "real.h"
+
+enum hystmpc_phase { ONCE, AHEAD, THROUGH, BEHIND, SLOPES, FIXED, MOVING, REST, PHASES };
+
+typedef struct {
+    int states, inputs, parameters, outputs;
+    int kept;      /* values that parameters and sample time alone decide */
+    int rows;      /* of a block's table */
+    int slopes;    /* derivatives that are not zero by structure */
+    int groups;    /* of states */
+    int registers; /* of phase `once`: parameters, sample time, constants, results */
+    int single;    /* registers of one step: kept values, states, inputs, results */
+    int length[PHASES];
+    const int *code[PHASES];
+    const int *keeps, *slope, *first, *group, *results;
+} hystmpc_program;
+
+/* Where the parts of a table lie; answers the number of whole numbers read. */
+int program_read(const int *table, hystmpc_program *p);
+
+/* Instructions on `lanes` numbers a row, a multiple of eight; row r begins at row[r] + at. */
+void program_lanes(const int *code, int length, real *const *row, int at, int lanes);
+
+/* Instructions on one number a row, sample after sample: row[r] + t for t = first, ..., first + samples - 1. */
+void program_samples(const int *code, int length, real *const *row, int first, int samples);
+
+/* Instructions on registers. */
+void program_single(const int *code, int length, real *registers);
+
+/* Kept values (kept) by parameters (P) and sample time [s]; room for `registers` numbers. */
+void program_prepare(const hystmpc_program *p, const real *constants, int count, const real *parameters, int stride,
+                     real dt, real *kept, int kept_stride, real *room);
+
+#endif

@@ -1,0 +1,279 @@
+/* Derivatives of free runs by forward sensitivity, in all directions that the caller asks for.
+ *
+ * All slopes of a block are computed first, for all its samples side by side. What is left for each direction is linear:
+ * a product and a sum a slope, and a loop over the samples for the states alone. A direction that does not reach a state
+ * costs nothing there. */
+#include "blocks.h"
+
+#include <stddef.h>
+
+/* to += value factor, or to = value factor where it is the first term. */
+static void add_product(real *restrict to, const real *restrict value, const real *restrict factor, int first, int lanes,
+                        int adds) {
+    if (adds)
+        for (int l = first; l < lanes; l++) to[l] += value[l] * factor[l];
+    else
+        for (int l = first; l < lanes; l++) to[l] = value[l] * factor[l];
+}
+
+static void add_multiple(real *restrict to, const real *restrict value, real factor, int first, int lanes, int adds) {
+    if (adds)
+        for (int l = first; l < lanes; l++) to[l] += value[l] * factor;
+    else
+        for (int l = first; l < lanes; l++) to[l] = value[l] * factor;
+}
+
+/* One direction of a stage in a block. */
+typedef struct {
+    const chain_run *r;
+    const chain_stage *s;
+    const real *seeds; /* of the stage's parameters in this direction, `directions` apart */
+    int q, first, lanes;
+    int count, runs;
+    int ends[MOST];    /* column behind the last sample of each run that ends in this block, else -1 */
+    real *m;           /* (S, runs, D) */
+    int *moves;        /* of the stage's first state in this direction, `directions` apart */
+} direction;
+
+enum { BY_STATE, BY_INPUT, BY_PARAMETER };
+
+static real *history_of(const direction *d, int i) { return d->r->history + i * (STRIDE + d->r->abreast); }
+
+/* Whether what a slope multiplies is not zero. */
+static int term_acts(const direction *d, const int *slope) {
+    const int directions = d->r->directions;
+    if (slope[0] == BY_STATE) return d->moves[slope[1] * directions];
+    if (slope[0] == BY_INPUT) return d->r->begins[d->s->wires[slope[1]] * directions + d->q] < LANES;
+    return d->seeds[slope[1] * directions] != R(0.0);
+}
+
+/* Add slope times what it multiplies; answers 1. */
+static int add_term(const direction *d, const int *slope, real *to, int adds) {
+    const chain_run *r = d->r;
+    const real *value = d->s->row[slope[2]];
+    if (slope[0] == BY_STATE) add_product(to, value, history_of(d, slope[1]), d->first, d->lanes, adds);
+    else if (slope[0] == BY_INPUT)
+        add_product(to, value, r->by + (d->s->wires[slope[1]] * r->directions + d->q) * STRIDE, d->first, d->lanes, adds);
+    else add_multiple(to, value, d->seeds[slope[1] * r->directions], d->first, d->lanes, adds);
+    return 1;
+}
+
+static int is_in(const int *group, int state) {
+    for (int k = 1; k <= group[0]; k++)
+        if (group[k] == state) return 1;
+    return 0;
+}
+
+/* Derivatives of a group of states along the block: what comes from outside for all samples, then sample after sample. */
+static void move_group(const direction *d, const int *group) {
+    const chain_run *r = d->r;
+    const hystmpc_program *p = &d->s->p;
+    const int g = r->abreast;
+    for (int k = 1; k <= group[0]; k++) {
+        real *next = history_of(d, group[k]) + g;
+        int adds = 0;
+        for (int q = p->first[group[k]]; q < p->first[group[k] + 1]; q++) {
+            const int *slope = p->slope + 3 * q;
+            if (slope[0] == BY_STATE && is_in(group, slope[1])) continue;
+            if (term_acts(d, slope)) adds = add_term(d, slope, next, adds);
+        }
+        if (!adds)
+            for (int l = d->first; l < d->lanes; l++) next[l] = R(0.0);
+    }
+    if (group[0] == 1) {
+        const int i = group[1];
+        real *h = history_of(d, i);
+        for (int q = p->first[i]; q < p->first[i + 1]; q++) {
+            const int *slope = p->slope + 3 * q;
+            if (slope[0] != BY_STATE || slope[1] != i) continue;
+            const real *value = d->s->row[slope[2]];
+            for (int l = d->first; l < d->lanes; l++) h[l + g] += value[l] * h[l];
+        }
+        return;
+    }
+    for (int t = d->first; t < d->lanes; t += g)
+        for (int k = 1; k <= group[0]; k++) {
+            real *h = history_of(d, group[k]) + g;
+            for (int q = p->first[group[k]]; q < p->first[group[k] + 1]; q++) {
+                const int *slope = p->slope + 3 * q;
+                if (slope[0] != BY_STATE || !is_in(group, slope[1])) continue;
+                const real *value = d->s->row[slope[2]], *other = history_of(d, slope[1]);
+                for (int l = t; l < t + g; l++) h[l] += value[l] * other[l];
+            }
+        }
+}
+
+/* Which states of a group have a derivative from now on. */
+static int group_acts(const direction *d, const int *group) {
+    const hystmpc_program *p = &d->s->p;
+    for (int k = 1; k <= group[0]; k++) {
+        if (d->moves[group[k] * d->r->directions]) return 1;
+        for (int q = p->first[group[k]]; q < p->first[group[k] + 1]; q++)
+            if (term_acts(d, p->slope + 3 * q)) return 1;
+    }
+    return 0;
+}
+
+/* First sample of the block from which a direction acts on a stage; LANES for never. */
+static int begin_of(const direction *d) {
+    const hystmpc_program *p = &d->s->p;
+    const int directions = d->r->directions;
+    int first = LANES;
+    for (int i = 0; i < p->states; i++)
+        if (d->moves[i * directions]) return 0;
+    for (int j = 0; j < p->parameters; j++)
+        if (d->seeds[j * directions] != R(0.0)) return 0;
+    for (int j = 0; j < p->inputs; j++) first = smaller(first, d->r->begins[d->s->wires[j] * directions + d->q]);
+    return first;
+}
+
+/* One direction through one stage: from the derivatives of its inputs to those of its outputs and states. */
+static void differentiate_stage(direction *d, int samples) {
+    const chain_run *r = d->r;
+    const hystmpc_program *p = &d->s->p;
+    const int g = r->abreast, directions = r->directions, begin = begin_of(d);
+    real *moving = r->moving + (d->s->place[2] * directions + d->q) * g;
+    for (int o = 0; o < p->outputs; o++) r->begins[d->s->wires[p->inputs + o] * directions + d->q] = begin;
+    if (begin >= samples) return;
+    d->first = begin * g, d->lanes = samples * g;
+    for (int i = 0; i < p->states; i++)
+        for (int n = 0; n < g; n++) history_of(d, i)[d->first + n] = moving[i * directions * g + n];
+    const int *group = p->group;
+    for (int k = 0; k < p->groups; k++, group += 1 + *group) {
+        if (!group_acts(d, group)) continue;
+        move_group(d, group);
+        for (int i = 1; i <= group[0]; i++) d->moves[group[i] * directions] = 1;
+    }
+    for (int o = 0; o < p->outputs; o++) {
+        real *to = r->by + (d->s->wires[p->inputs + o] * directions + d->q) * STRIDE;
+        int adds = 0;
+        for (int q = p->first[p->states + o]; q < p->first[p->states + o + 1]; q++)
+            if (term_acts(d, p->slope + 3 * q)) adds = add_term(d, p->slope + 3 * q, to, adds);
+        if (!adds)
+            for (int l = d->first; l < d->lanes; l++) to[l] = R(0.0);
+    }
+    for (int i = 0; i < p->states; i++) {
+        if (!d->moves[i * directions]) continue;
+        for (int n = 0; n < g; n++) moving[i * directions * g + n] = history_of(d, i)[d->lanes + n];
+        for (int n = 0; n < d->count; n++)
+            if (d->ends[n] >= 0)
+                d->m[((d->s->place[2] + i) * d->runs + n) * directions + d->q] = history_of(d, i)[d->ends[n] * g + n];
+    }
+}
+
+/* Runs n0 ... n0 + count - 1, whose samples begin at first[0 ... count - 1] and end at first[1 ... count]. */
+typedef struct {
+    const int *first;
+    int n0, count, runs, samples; /* samples: of all runs */
+    const real *u, *du, *seeds;
+    real *x, *m, *y, *dy;
+} group_of_runs;
+
+/* States and their derivatives before the first sample. */
+static void begin_runs(const chain_run *r, const group_of_runs *c) {
+    const int g = r->abreast, d = r->directions;
+    for (const chain_stage *s = r->stage; s < r->stage + r->stages; s++)
+        for (int i = 0; i < s->p.states; i++)
+            for (int n = 0; n < g; n++)
+                s->state[i * (STRIDE + g) + n] = c->x[(s->place[2] + i) * c->runs + c->n0 + smaller(n, c->count - 1)];
+    for (int i = 0; i < r->states; i++)
+        for (int q = 0; q < d; q++) {
+            r->moves[i * d + q] = 0;
+            for (int n = 0; n < g; n++) {
+                const real m = c->m[(i * c->runs + c->n0 + smaller(n, c->count - 1)) * d + q];
+                r->moving[(i * d + q) * g + n] = m;
+                if (m != R(0.0)) r->moves[i * d + q] = 1;
+            }
+        }
+}
+
+/* Inputs of a block and their derivatives; behind its last sample a run stays at its last input. */
+static void load_block(const chain_run *r, const group_of_runs *c, int t0, int samples) {
+    const int g = r->abreast, d = r->directions;
+    for (int j = 0; j < r->inputs; j++)
+        for (int n = 0; n < g; n++) {
+            const int k = smaller(n, c->count - 1), from = c->first[k], length = c->first[k + 1] - from;
+            for (int t = 0; t < samples; t++)
+                r->signal[j * STRIDE + t * g + n] =
+                    length > 0 ? c->u[j * c->samples + from + smaller(t0 + t, length - 1)] : R(0.0);
+        }
+    for (int j = 0; j < r->inputs; j++)
+        for (int q = 0; q < d; q++) {
+            real *by = r->by + (j * d + q) * STRIDE;
+            int begin = LANES;
+            if (c->du)
+                for (int n = 0; n < g; n++) {
+                    const int k = smaller(n, c->count - 1), from = c->first[k], length = c->first[k + 1] - from;
+                    for (int t = 0; t < samples; t++) {
+                        const real du = t0 + t < length ? c->du[(j * c->samples + from + t0 + t) * d + q] : R(0.0);
+                        by[t * g + n] = du;
+                        if (du != R(0.0)) begin = smaller(begin, t);
+                    }
+                }
+            r->begins[j * d + q] = begin;
+        }
+}
+
+/* Outputs of a block and their derivatives; states of runs that end in it. */
+static void store_block(const chain_run *r, const group_of_runs *c, int t0, int samples) {
+    const int g = r->abreast, d = r->directions;
+    for (int n = 0; n < c->count; n++) {
+        const int from = c->first[n] + t0, now = smaller(samples, c->first[n + 1] - from);
+        for (int o = 0; o < r->outputs; o++) {
+            const int shown = r->shown[o];
+            for (int t = 0; t < now; t++) c->y[o * c->samples + from + t] = r->signal[shown * STRIDE + t * g + n];
+            for (int q = 0; q < d; q++) {
+                const real *by = r->by + (shown * d + q) * STRIDE + n;
+                real *to = c->dy + (o * c->samples + from) * d + q;
+                const int begin = smaller(r->begins[shown * d + q], now > 0 ? now : 0);
+                for (int t = 0; t < begin; t++) to[t * d] = R(0.0);
+                for (int t = begin; t < now; t++) to[t * d] = by[t * g];
+            }
+        }
+        if (now > 0 && from + now == c->first[n + 1])
+            for (const chain_stage *s = r->stage; s < r->stage + r->stages; s++)
+                for (int i = 0; i < s->p.states; i++)
+                    c->x[(s->place[2] + i) * c->runs + c->n0 + n] = s->state[i * (STRIDE + g) + now * g + n];
+    }
+}
+
+static void differentiate_runs(const chain_run *r, const group_of_runs *c) {
+    const int g = r->abreast, block = LANES / g;
+    int longest = 0;
+    begin_runs(r, c);
+    for (int n = 0; n < c->count; n++)
+        if (c->first[n + 1] - c->first[n] > longest) longest = c->first[n + 1] - c->first[n];
+    for (int t0 = 0; t0 < longest; t0 += block) {
+        const int samples = smaller(block, longest - t0);
+        direction d = {.r = r, .count = c->count, .runs = c->runs, .m = c->m + c->n0 * r->directions};
+        for (int n = 0; n < c->count; n++) {
+            const int left = c->first[n + 1] - c->first[n] - t0;
+            d.ends[n] = left > 0 && left <= samples ? left : -1;
+        }
+        load_block(r, c, t0, samples);
+        for (const chain_stage *s = r->stage; s < r->stage + r->stages; s++) {
+            chain_run_stage(s, g, samples, 1);
+            d.s = s;
+            for (d.q = 0; d.q < r->directions; d.q++) {
+                d.seeds = c->seeds + s->place[3] * r->directions + d.q;
+                d.moves = r->moves + s->place[2] * r->directions + d.q;
+                differentiate_stage(&d, samples);
+            }
+        }
+        store_block(r, c, t0, samples);
+        for (const chain_stage *s = r->stage; s < r->stage + r->stages; s++) chain_go_on(s, g, samples);
+    }
+}
+
+void hystmpc_chain_differentiate(const int *chain, const real *kept, int rows, const int *first, const real *u,
+                                 const real *du, int directions, const real *seeds, real *x, real *m, real *y, real *dy,
+                                 char *memory) {
+    chain_run r;
+    chain_lay_out(&r, chain, chain_abreast(rows), directions, memory);
+    chain_bind(&r, kept, 1, 0, 1);
+    for (int n0 = 0; n0 < rows; n0 += r.abreast) {
+        const group_of_runs c = {.first = first + n0, .n0 = n0, .count = smaller(r.abreast, rows - n0), .runs = rows,
+                                 .samples = first[rows], .u = u, .du = du, .seeds = seeds, .x = x, .m = m, .y = y, .dy = dy};
+        differentiate_runs(&r, &c);
+    }
+}
