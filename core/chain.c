@@ -146,3 +146,9 @@ void hystmpc_chain_simulate(const int *chain, const real *kept, int kept_rows, i
     }
 }
 
+void hystmpc_chain_roll_out(const int *chain, const real *kept, const real *x, int rows, int samples, const real *plans,
+                            real *y, char *memory) {
+    const int by_plan[3] = {0, 1, samples}, by_state[2] = {1, 0};
+    hystmpc_chain_simulate(chain, kept, 1, rows, samples, plans, by_plan, (real *)x, by_state, 0, y, by_plan, memory);
+}
+

@@ -38,11 +38,19 @@ HYSTMPC_API void hystmpc_chain_simulate(const int *chain, const real *kept, int 
  *     m' = (dg/dx) m + (dg/du) du + (dg/dp) s,    dy = (df/dx) m + (df/du) du + (df/dp) s
  *
  * first: (N + 1), run n has samples first[n] to first[n + 1].    u: (inputs, T).    du: (inputs, T, D), or null for zero.
- * seeds: s (P, D).    x: (S, N), m: (S, N, D), overwritten by those behind the last sample.    y: (outputs, T).
- * dy: (outputs, T, D). */
+ * seeds: s (P, D).    x: (S, N), m: (S, N, D), before the first sample.    y: (outputs, T).    dy: (outputs, T, D). */
 HYSTMPC_API void hystmpc_chain_differentiate(const int *chain, const real *kept, int rows, const int *first,
-                                             const real *u, const real *du, int directions, const real *seeds, real *x,
-                                             real *m, real *y, real *dy, char *memory);
+                                             const real *u, const real *du, int directions, const real *seeds,
+                                             const real *x, const real *m, real *y, real *dy, char *memory);
+
+/* Angles y (H) along one plan (H) and their derivatives dy (H, H) by its commands; one input and one output. */
+HYSTMPC_API void hystmpc_chain_linearise(const int *chain, const real *kept, const real *x, const real *plan, int samples,
+                                         real *y, real *dy, char *memory);
+HYSTMPC_API long hystmpc_chain_linearise_bytes(const int *chain, int samples);
+
+/* Angles (N, H) of plans (N, H) from one state; memory as for N rows. */
+HYSTMPC_API void hystmpc_chain_roll_out(const int *chain, const real *kept, const real *x, int rows, int samples,
+                                        const real *plans, real *y, char *memory);
 
 /* States at rest (S, N) of one stage and their derivatives m (S, N, D), at input u (N) and output seen (N) with
  * derivatives du and dseen (N, D); parameters (P, N) or (P, 1) of the stage, seeds (P, D); room for the registers and
@@ -52,13 +60,20 @@ HYSTMPC_API void hystmpc_chain_rest(const int *chain, const real *constants, int
                                     int parameter_rows, int directions, const real *seeds, real *x, real *m, real *room);
 HYSTMPC_API int hystmpc_chain_rest_room(const int *chain, int stage);
 
-/* One sample of a chain with one input and one output: the angle; x (S) moves on. room: hystmpc_chain_single_room. */
-HYSTMPC_API double hystmpc_chain_step(const int *chain, const real *kept, real *x, double u, real *room);
-HYSTMPC_API int hystmpc_chain_single_room(const int *chain);
+/* One sample of a chain with one input and one output: the angle; x (S) moves on. Memory for this and what follows:
+ * hystmpc_chain_single_bytes. */
+HYSTMPC_API double hystmpc_chain_step(const int *chain, const real *kept, real *x, double u, char *memory);
+HYSTMPC_API long hystmpc_chain_single_bytes(const int *chain);
 
 /* The command in [low, high] that brings the next angle to `wanted`, nearest to `last` on a flat branch; the angle does
  * not fall with the command. Newton's method on the exact derivative inside a shrinking bracket. */
 HYSTMPC_API double hystmpc_chain_command_for(const int *chain, const real *kept, const real *x, double wanted, double low,
-                                             double high, double last, real *room);
+                                             double high, double last, char *memory);
+
+/* The inverse followed along the angles `wanted` (H), each command within [low, high] by the bounds (low, high, reach).
+ * plans (2, H): row 0 within the box alone, row 1 also moves by no more than `reach` in a sample. The inverse searches
+ * between inverted[0] and inverted[1]. */
+HYSTMPC_API void hystmpc_chain_follow(const int *chain, const real *kept, const real *x, const real *wanted, int samples,
+                                      double last, const real *bounds, const real *inverted, real *plans, char *memory);
 
 #endif

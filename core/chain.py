@@ -73,7 +73,8 @@ class ChainCode:
         self.code, self.constants = _block(stages, wires, shown, signals, self)
         self._c: Any = engine()
         self._registers = max((stage.registers for stage in stages), default=0)
-        self._single = int(self._c.chain_single_room(self.code))
+        self._single = int(self._c.chain_single_bytes(self.code))
+        self._known_bytes: dict[tuple[int, ...], int] = {}
 
     def prepare(self, parameters: Array, dt_s: float) -> Array:
         """Values (K, N) that parameters (P, N) and sample time [s] alone decide."""
@@ -102,13 +103,21 @@ class ChainCode:
         """Outputs (N, H) of plans (N, H), all from one state (S,)."""
         rows, samples = plans.shape
         outputs = np.empty((rows, samples))
-        stride = _strides(0, 1, samples)
-        self._run(kept, rows, samples, plans, stride, state, _strides(1, 0), 0, outputs, stride)
+        self._c.chain_roll_out(self.code, kept, state, rows, samples, plans, outputs, _memory(self._bytes(rows, 0)))
         return outputs
+
+    def _bytes(self, rows: int, directions: int) -> int:
+        """Memory of a call; that of one row, and of as many as run abreast."""
+        key = (rows > 1, directions)
+        if key not in self._known_bytes:
+            self._known_bytes[key] = max(
+                self._c.chain_bytes(self.code, n, directions) for n in ((1,) if rows < 2 else range(2, 17))
+            )
+        return self._known_bytes[key]
 
     def _run(self, kept: Array, rows: int, samples: int, u: Array, us: Whole, x: Array, xs: Whole, moves: int,
              y: Array, ys: Whole) -> None:  # fmt: skip
-        memory = _memory(self._c.chain_bytes(self.code, rows, 0))
+        memory = _memory(self._bytes(rows, 0))
         self._c.chain_simulate(self.code, kept, kept.shape[1], rows, samples, u, us, x, xs, moves, y, ys, memory)
 
     def differentiate(
@@ -120,11 +129,11 @@ class ChainCode:
             first: first sample of each run, and T (N + 1,).
             u, du: input (T,) and its derivative (T, D); None for zero.
             seeds: derivative of the parameters (P, D).
-            states, slopes: (S, N) and (S, N, D), overwritten by those behind the last samples.
+            states, slopes: before the first samples (S, N), and their derivatives (S, N, D).
         """
         directions, rows = seeds.shape[1], first.size - 1
         y, dy = np.empty(u.size), np.empty((u.size, directions))
-        memory = _memory(self._c.chain_bytes(self.code, rows, directions))
+        memory = _memory(self._bytes(rows, directions))
         self._c.chain_differentiate(
             self.code, kept, rows, first, u, du, directions, seeds, states, slopes, y, dy, memory
         )
@@ -144,19 +153,28 @@ class ChainCode:
     def linearise(self, kept: Array, state: Array, plan: Array) -> tuple[Array, Array]:
         """Outputs (H,) along one plan (H,) and their derivatives (H, H) by its commands."""
         size = plan.size
-        moving = np.zeros((self.states, 1, size))
-        seeds, first = np.zeros((self.parameters, size)), np.array([0, size], dtype=np.intc)
-        return self.differentiate(kept, first, plan, np.eye(size), seeds, state.reshape(-1, 1).copy(), moving)
+        y, dy = np.empty(size), np.empty((size, size))
+        key = (size,)
+        if key not in self._known_bytes:
+            self._known_bytes[key] = self._c.chain_linearise_bytes(self.code, size)
+        self._c.chain_linearise(self.code, kept, state, plan, size, y, dy, _memory(self._known_bytes[key]))
+        return y, dy
 
     def step(self, kept: Array, state: Array, u: float) -> tuple[float, Array]:
         """Output of one sample, and the next state (S,)."""
         following = np.array(state, dtype=np.float64)
-        return float(self._c.chain_step(self.code, kept, following, u, np.empty(self._single))), following
+        return float(self._c.chain_step(self.code, kept, following, u, _memory(self._single))), following
 
     def command_for(self, kept: Array, state: Array, wanted: float, low: float, high: float, last: float) -> float:
         """Command in [low, high] whose next output is `wanted`."""
-        room = np.empty(self._single)
-        return float(self._c.chain_command_for(self.code, kept, state, wanted, low, high, last, room))
+        memory = _memory(self._single)
+        return float(self._c.chain_command_for(self.code, kept, state, wanted, low, high, last, memory))
+
+    def follow(self, kept: Array, state: Array, wanted: Array, last: float, bounds: Array, inverted: Array) -> Array:
+        """Commands (2, H) along the angles `wanted` (H,): within the box alone, and within the rate limit too."""
+        plans, memory = np.empty((2, wanted.size)), _memory(self._single)
+        self._c.chain_follow(self.code, kept, state, wanted, wanted.size, last, bounds, inverted, plans, memory)
+        return plans
 
 
 def _block(

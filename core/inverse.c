@@ -1,71 +1,82 @@
 /* One sample of a chain at a time: its step, its inverse, and the inverse along a preview. */
 #include "blocks.h"
 
-/* Stage k of a chain; answers where the next one is described. */
-static const int *read_stage(const int *chain, const int *place, hystmpc_program *p) {
-    program_read(chain + place[0], p);
-    return place + STAGE;
-}
+#include <stddef.h>
 
-int hystmpc_chain_single_room(const int *chain) {
+/* One stage of a chain with the registers of its step. */
+typedef struct {
+    hystmpc_program p;
+    const int *place;
+    real *registers, *state;
+} single_stage;
+
+/* All stages; a signal of one axis goes from each to the next. */
+typedef struct {
+    int stages;
+    single_stage *stage;
+    real *last; /* room behind the registers: two states of the chain */
+} single;
+
+static char *aligned(char *at) { return at + (8 - (size_t)at % 8) % 8; }
+
+/* Lay out the memory of a call and put in the kept values; answers the bytes that it takes. */
+static long lay_out(single *c, const int *chain, const real *kept, char *memory) {
+    char *at = aligned(memory);
     const int *place = chain + CHAIN_HEAD + chain[6];
-    int room = 0;
-    for (int k = 0; k < chain[0]; k++) {
-        hystmpc_program p;
-        place = read_stage(chain, place, &p);
-        room += p.single;
+    c->stages = chain[0], c->stage = (single_stage *)at;
+    at += (size_t)c->stages * sizeof(single_stage);
+    for (int k = 0; k < c->stages; k++, place += STAGE) {
+        single_stage one, *s = kept ? c->stage + k : &one;
+        program_read(chain + place[0], &s->p);
+        s->place = place, s->registers = (real *)at, s->state = s->registers + s->p.kept;
+        at += (size_t)s->p.single * sizeof(real);
+        for (int i = 0; kept && i < s->p.kept; i++) s->registers[i] = kept[place[4] + i];
     }
-    return room;
+    c->last = (real *)at;
+    return (long)(at - memory) + 2 * chain[1] * (long)sizeof(real);
 }
 
-/* Registers of all stages with kept values and states; what the states alone decide is computed. */
-static void set_state(const int *chain, const real *kept, const real *x, real *room) {
-    const int *place = chain + CHAIN_HEAD + chain[6];
-    for (int k = 0; k < chain[0]; k++) {
-        const int *here = place;
-        hystmpc_program p;
-        place = read_stage(chain, place, &p);
-        for (int i = 0; i < p.kept; i++) room[i] = kept[here[4] + i];
-        for (int i = 0; i < p.states; i++) room[p.kept + i] = x[here[2] + i];
-        program_single(p.code[FIXED], p.length[FIXED], room);
-        room += p.single;
+long hystmpc_chain_single_bytes(const int *chain) {
+    static char nowhere[8];
+    single c;
+    return lay_out(&c, chain, NULL, nowhere) + 16;
+}
+
+/* Put in the states; what they alone decide is computed. */
+static void set_state(const single *c, const real *x) {
+    for (const single_stage *s = c->stage; s < c->stage + c->stages; s++) {
+        for (int i = 0; i < s->p.states; i++) s->state[i] = x[s->place[2] + i];
+        program_single(s->p.code[FIXED], s->p.length[FIXED], s->registers);
     }
 }
 
 /* The angle at command u and its derivative, in a state that has been set. */
-static real angle_at(const int *chain, real u, real *room, real *slope) {
-    const int *place = chain + CHAIN_HEAD + chain[6];
+static real angle_at(const single *c, real u, real *slope) {
     *slope = R(1.0);
-    for (int k = 0; k < chain[0]; k++) {
-        hystmpc_program p;
-        place = read_stage(chain, place, &p);
-        room[p.kept + p.states] = u;
-        program_single(p.code[MOVING], p.length[MOVING], room);
-        *slope = p.results[0] < 0 ? R(0.0) : *slope * room[p.results[0]];
-        u = room[p.results[1]];
-        room += p.single;
+    for (const single_stage *s = c->stage; s < c->stage + c->stages; s++) {
+        s->state[s->p.states] = u;
+        program_single(s->p.code[MOVING], s->p.length[MOVING], s->registers);
+        *slope = s->p.results[0] < 0 ? R(0.0) : *slope * s->registers[s->p.results[0]];
+        u = s->registers[s->p.results[1]];
     }
     return u;
 }
 
 /* The state one sample after the command at which the angle has been computed last. */
-static void move_on(const int *chain, real *x, real *room) {
-    const int *place = chain + CHAIN_HEAD + chain[6];
-    for (int k = 0; k < chain[0]; k++) {
-        const int *here = place;
-        hystmpc_program p;
-        place = read_stage(chain, place, &p);
-        program_single(p.code[REST], p.length[REST], room);
-        for (int i = 0; i < p.states; i++) x[here[2] + i] = room[p.results[1 + p.outputs + i]];
-        room += p.single;
+static void move_on(const single *c, real *x) {
+    for (const single_stage *s = c->stage; s < c->stage + c->stages; s++) {
+        program_single(s->p.code[REST], s->p.length[REST], s->registers);
+        for (int i = 0; i < s->p.states; i++) x[s->place[2] + i] = s->registers[s->p.results[1 + s->p.outputs + i]];
     }
 }
 
-double hystmpc_chain_step(const int *chain, const real *kept, real *x, double u, real *room) {
+double hystmpc_chain_step(const int *chain, const real *kept, real *x, double u, char *memory) {
+    single c;
     real slope;
-    set_state(chain, kept, x, room);
-    const real angle = angle_at(chain, (real)u, room, &slope);
-    move_on(chain, x, room);
+    lay_out(&c, chain, kept, memory);
+    set_state(&c, x);
+    const real angle = angle_at(&c, (real)u, &slope);
+    move_on(&c, x);
     return (double)angle;
 }
 
@@ -81,12 +92,12 @@ enum { MOST_ROUNDS = 200 };
 #endif
 
 /* The command of a state that has been set. */
-static real command_for(const int *chain, real wanted, real low, real high, real last, real *room) {
+static real command_for(const single *c, real wanted, real low, real high, real last) {
     real u = least(most(last, low), high);
     const real tolerance = MISS * most(R(1.0), absolute(wanted));
     for (int round = 0; round < MOST_ROUNDS; round++) {
         real slope;
-        const real miss = wanted - angle_at(chain, u, room, &slope);
+        const real miss = wanted - angle_at(c, u, &slope);
         if (absolute(miss) <= tolerance) break;
         if (miss > R(0.0)) low = u;
         else high = u;
@@ -99,7 +110,40 @@ static real command_for(const int *chain, real wanted, real low, real high, real
 }
 
 double hystmpc_chain_command_for(const int *chain, const real *kept, const real *x, double wanted, double low,
-                                 double high, double last, real *room) {
-    set_state(chain, kept, x, room);
-    return (double)command_for(chain, (real)wanted, (real)low, (real)high, (real)last, room);
+                                 double high, double last, char *memory) {
+    single c;
+    lay_out(&c, chain, kept, memory);
+    set_state(&c, x);
+    return (double)command_for(&c, (real)wanted, (real)low, (real)high, (real)last);
+}
+
+void hystmpc_chain_follow(const int *chain, const real *kept, const real *x, const real *wanted, int samples,
+                          double last, const real *bounds, const real *inverted, real *plans, char *memory) {
+    single c;
+    const int size = chain[1];
+    const real low = bounds[0], high = bounds[1], reach = bounds[2];
+    real *state[2], before[2] = {(real)last, (real)last}, u[2] = {R(0.0), R(0.0)};
+    int rows = 1;
+    lay_out(&c, chain, kept, memory);
+    state[0] = c.last, state[1] = state[0] + size;
+    for (int i = 0; i < size; i++) state[0][i] = x[i];
+    for (int k = 0; k < samples; k++) {
+        for (int row = 0; row < rows; row++) {
+            set_state(&c, state[row]);
+            const real goal = command_for(&c, wanted[k], inverted[0], inverted[1], before[row]);
+            u[row] = least(most(is_finite(goal) ? goal : before[row], low), high);
+            if (row == 0 && rows == 1 && absolute(u[0] - before[0]) > reach) {
+                rows = 2; /* from here on two memories; the second one goes as far as the limit allows */
+                for (int i = 0; i < size; i++) state[1][i] = state[0][i];
+                before[1] = before[0];
+            }
+            if (row == 1) u[1] = least(most(u[1], before[1] - reach), before[1] + reach);
+            real slope;
+            angle_at(&c, u[row], &slope);
+            move_on(&c, state[row]);
+            before[row] = u[row];
+        }
+        plans[k] = u[0];
+        plans[samples + k] = u[rows - 1];
+    }
 }

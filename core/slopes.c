@@ -29,9 +29,6 @@ typedef struct {
     const chain_stage *s;
     const real *seeds; /* of the stage's parameters in this direction, `directions` apart */
     int q, first, lanes;
-    int count, runs;
-    int ends[MOST];    /* column behind the last sample of each run that ends in this block, else -1 */
-    real *m;           /* (S, runs, D) */
     int *moves;        /* of the stage's first state in this direction, `directions` apart */
 } direction;
 
@@ -155,9 +152,6 @@ static void differentiate_stage(direction *d, int samples) {
     for (int i = 0; i < p->states; i++) {
         if (!d->moves[i * directions]) continue;
         for (int n = 0; n < g; n++) moving[i * directions * g + n] = history_of(d, i)[d->lanes + n];
-        for (int n = 0; n < d->count; n++)
-            if (d->ends[n] >= 0)
-                d->m[((d->s->place[2] + i) * d->runs + n) * directions + d->q] = history_of(d, i)[d->ends[n] * g + n];
     }
 }
 
@@ -165,8 +159,8 @@ static void differentiate_stage(direction *d, int samples) {
 typedef struct {
     const int *first;
     int n0, count, runs, samples; /* samples: of all runs */
-    const real *u, *du, *seeds;
-    real *x, *m, *y, *dy;
+    const real *u, *du, *seeds, *x, *m;
+    real *y, *dy;
 } group_of_runs;
 
 /* States and their derivatives before the first sample. */
@@ -214,7 +208,7 @@ static void load_block(const chain_run *r, const group_of_runs *c, int t0, int s
         }
 }
 
-/* Outputs of a block and their derivatives; states of runs that end in it. */
+/* Outputs of a block and their derivatives. */
 static void store_block(const chain_run *r, const group_of_runs *c, int t0, int samples) {
     const int g = r->abreast, d = r->directions;
     for (int n = 0; n < c->count; n++) {
@@ -230,10 +224,6 @@ static void store_block(const chain_run *r, const group_of_runs *c, int t0, int 
                 for (int t = begin; t < now; t++) to[t * d] = by[t * g];
             }
         }
-        if (now > 0 && from + now == c->first[n + 1])
-            for (const chain_stage *s = r->stage; s < r->stage + r->stages; s++)
-                for (int i = 0; i < s->p.states; i++)
-                    c->x[(s->place[2] + i) * c->runs + c->n0 + n] = s->state[i * (STRIDE + g) + now * g + n];
     }
 }
 
@@ -245,11 +235,7 @@ static void differentiate_runs(const chain_run *r, const group_of_runs *c) {
         if (c->first[n + 1] - c->first[n] > longest) longest = c->first[n + 1] - c->first[n];
     for (int t0 = 0; t0 < longest; t0 += block) {
         const int samples = smaller(block, longest - t0);
-        direction d = {.r = r, .count = c->count, .runs = c->runs, .m = c->m + c->n0 * r->directions};
-        for (int n = 0; n < c->count; n++) {
-            const int left = c->first[n + 1] - c->first[n] - t0;
-            d.ends[n] = left > 0 && left <= samples ? left : -1;
-        }
+        direction d = {.r = r};
         load_block(r, c, t0, samples);
         for (const chain_stage *s = r->stage; s < r->stage + r->stages; s++) {
             chain_run_stage(s, g, samples, 1);
@@ -265,9 +251,29 @@ static void differentiate_runs(const chain_run *r, const group_of_runs *c) {
     }
 }
 
+/* One run in which every command is a direction; rows of dy (H, H). */
+void hystmpc_chain_linearise(const int *chain, const real *kept, const real *x, const real *plan, int samples, real *y,
+                             real *dy, char *memory) {
+    const int first[2] = {0, samples};
+    chain_run r;
+    real *at = (real *)(memory + chain_lay_out(&r, chain, 1, samples, memory));
+    real *const du = at, *const m = du + samples * samples, *const seeds = m + r.states * samples;
+    for (int i = 0; i < samples * samples; i++) du[i] = i % (samples + 1) == 0 ? R(1.0) : R(0.0);
+    for (int i = 0; i < (r.states + chain[2]) * samples; i++) m[i] = R(0.0);
+    const group_of_runs c = {.first = first, .count = 1, .runs = 1, .samples = samples, .u = plan, .du = du,
+                             .seeds = seeds, .x = x, .m = m, .y = y, .dy = dy};
+    chain_bind(&r, kept, 1, 0, 1);
+    differentiate_runs(&r, &c);
+}
+
+long hystmpc_chain_linearise_bytes(const int *chain, int samples) {
+    chain_run r;
+    return chain_lay_out(&r, chain, 1, samples, NULL) + 8 * (long)(samples * (samples + chain[1] + chain[2])) + 64;
+}
+
 void hystmpc_chain_differentiate(const int *chain, const real *kept, int rows, const int *first, const real *u,
-                                 const real *du, int directions, const real *seeds, real *x, real *m, real *y, real *dy,
-                                 char *memory) {
+                                 const real *du, int directions, const real *seeds, const real *x, const real *m,
+                                 real *y, real *dy, char *memory) {
     chain_run r;
     chain_lay_out(&r, chain, chain_abreast(rows), directions, memory);
     chain_bind(&r, kept, 1, 0, 1);
