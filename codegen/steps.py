@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from hystmpc.models.kernels.program import SCALAR, Instruction, dense, instructions
+from hystmpc.models.program import SCALAR, Instruction, dense, instructions
 from hystmpc.trials.types import Vec
 
 # Conditions are numbers, 1.0 or 0.0, as in CasADi, so that they can be added and multiplied.

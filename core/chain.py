@@ -177,6 +177,50 @@ class ChainCode:
         return plans
 
 
+@final
+class PreparedChain:
+    """A chain with its parameters and sample time; one input and one output.
+
+    Args:
+        code: of the chain.
+        parameters: (P,).
+        dt_s: sample time [s].
+    """
+
+    def __init__(self, code: ChainCode, parameters: Array, dt_s: float) -> None:
+        self.code = code
+        self._kept = code.prepare(np.array(parameters, dtype=np.float64).reshape(-1, 1), dt_s)
+
+    def step(self, state: Array, u: float) -> tuple[float, Array]:
+        """Output of one sample, and the next state (S,)."""
+        return self.code.step(self._kept, state, u)
+
+    def run(self, states: Array, commands: Array) -> tuple[Array, Array]:
+        """Outputs (N, T) of N rows under commands (N, T) from states (N, S), and the last states."""
+        following = np.array(states, dtype=np.float64, order="C")
+        return self.code.simulate_rows(self._kept, following, _doubles(commands)), following
+
+    def roll_out(self, state: Array, plans: Array) -> Array:
+        """Outputs (N, H) of plans (N, H), all from one state (S,)."""
+        return self.code.roll_out(self._kept, _doubles(state), _doubles(plans))
+
+    def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
+        """Outputs (H,) along one plan (H,) and their derivatives (H, H) by its commands."""
+        return self.code.linearise(self._kept, _doubles(state), _doubles(plan))
+
+    def command_for(self, state: Array, wanted: float, low: float, high: float, last: float) -> float:
+        """Command in [low, high] whose next output is `wanted`."""
+        return self.code.command_for(self._kept, _doubles(state), wanted, low, high, last)
+
+    def follow(self, state: Array, wanted: Array, last: float, bounds: Array, inverted: Array) -> Array:
+        """Commands (2, H) along the outputs `wanted` (H,), see `chain.h`."""
+        return self.code.follow(self._kept, _doubles(state), _doubles(wanted), last, bounds, inverted)
+
+
+def _doubles(array: Array) -> Array:
+    return np.ascontiguousarray(array, dtype=np.float64)
+
+
 def _block(
     stages: Sequence[StageProgram],
     wires: Sequence[tuple[Sequence[int], Sequence[int]]],

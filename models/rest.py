@@ -190,7 +190,7 @@ class ChainRest:
     def __init__(self, chain: Chain, dt_s: float) -> None:
         import casadi as ca  # not loaded for models without operators
 
-        from .kernels.program import dense
+        from .program import dense
 
         u, v, a = ca.SX.sym("u"), ca.SX.sym("v"), ca.SX.sym("a")
         operators = [(operator, ca.DM(operator.values)) for operator in chain.operators]

@@ -21,11 +21,11 @@ from hystmpc.trials.types import Vec
 from .chain import Chain, chain_from, chain_spec
 from .contract.export import ExportBundle, export_onnx
 from .contract.metadata import ModelMetadata, NoiseModel, Range, Rate, SampleTime, Start, rest_within
-from .kernels.chain_kernels import compile_step
-from .kernels.program import dense
 from .model import LoadedModel, StepFunction
 from .motions import probe_commands
+from .program import dense
 from .rest import RestRule
+from .stages import prepared
 
 if TYPE_CHECKING:
     import onnx
@@ -263,22 +263,14 @@ class ChainModel(LoadedModel, StepFunction):
         super().__init__(simulator.metadata(), start)
         self.simulator = simulator
         self._rest = RestRule(self.metadata, start, simulator.chain)
-        self._kernels = compile_step(simulator.chain.transition)
-        self._p, self._dt = simulator.chain.values, np.array([simulator.dt_s])
+        self._run = prepared(simulator.chain.operators, simulator.dt_s)
         self._step = simulator.chain.bound(simulator.dt_s)
 
     def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
-        following = np.array(state, dtype=np.float64, order="C")
-        u = np.ascontiguousarray(u, dtype=np.float64)
-        theta = np.empty_like(u)
-        self._kernels.simulate(following, u, self._p, self._dt, self._kernels.step_constants, theta)
-        return theta, following
+        return self._run.run(state, u)
 
     def run_on(self, states: Vec, commands: Vec) -> tuple[Vec, Vec]:
-        theta, following = np.empty(commands.shape), np.array(states, dtype=np.float64, order="C")
-        commands = np.ascontiguousarray(commands, dtype=np.float64)
-        self._kernels.simulate(following, commands, self._p, self._dt, self._kernels.step_constants, theta)
-        return theta, following
+        return self._run.run(states, commands)
 
     def run(self, commands: Vec, y: float) -> Vec:
         """Free run (T,) [deg] over commands (T,) from the rest at the first of them that shows `y` [deg]."""

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from hystmpc.models.chain import Chain
 from hystmpc.models.identify.chain_fit import OperatorFitSettings, fit_chain
 from hystmpc.models.identify.chain_kinds import backlash_starts
-from hystmpc.models.kernels.chain_kernels import compile_step
 from hystmpc.models.maps import QuadraticMap
+from hystmpc.models.stages import prepared
 from hystmpc.trials.errors import HystmpcError
 from hystmpc.trials.report import (
     MEASURED,
@@ -247,12 +247,8 @@ def _backlash(trials: list[Trial] | tuple[Trial, ...]) -> Chain:
 
 def _run(chain: Chain, trial: Trial) -> Vec:
     """Free run (T,) from rest at the trial's first sample."""
-    kernels = compile_step(chain.transition)
     rest = chain.rest(float(trial.angle[0]), float(trial.command[0]), chain.values)
-    theta = np.empty((1, len(trial)))
-    state, commands = np.array(rest).reshape(1, -1), trial.command[None].copy()
-    kernels.simulate(state, commands, chain.values, np.array([trial.dt]), kernels.step_constants, theta)
-    return theta[0]
+    return prepared(chain.operators, trial.dt).run(np.array(rest).reshape(1, -1), trial.command[None])[0][0]
 
 
 _FIGURE_9 = ("fnn", "hb2", "fnn_hib")

@@ -12,7 +12,7 @@ import onnx
 from numpy.typing import ArrayLike
 from onnx import TensorProto, helper, numpy_helper
 
-from ..kernels.program import Instruction, instructions
+from ..program import Instruction, instructions
 
 _BINARY = {"add": "Add", "sub": "Sub", "mul": "Mul", "div": "Div", "and": "Mul", "pow": "Pow"}
 _COMPARE = {"lt": "Less", "le": "LessOrEqual", "eq": "Equal"}

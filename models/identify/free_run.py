@@ -8,19 +8,20 @@ from typing import final
 
 import numpy as np
 
+from hystmpc.core.chain import ChainCode
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Index, Mask, Vec
 
 from ..chain import Chain
-from ..kernels.chain_kernels import DIRECTIONS, StageKernels, stage_kernels
 from ..operators.dynamics import Delay
 from ..rest import FLAT, nearest_shown
+from ..stages import chain_code
 from ..start import Runs, search_box
 from .runs import RunsTogether, angle_range, check_trial_set, command_range, runs_to_fit
 
-Stage = tuple[StageKernels, slice, slice]
-"""Compiled operator, and where its states and its parameters stand among those of the chain."""
+Stage = tuple[ChainCode, slice, slice]
+"""One operator for the engine, and where its states and its parameters stand among those of the chain."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,23 +103,21 @@ class Settling:
 
     def _pass(self, k: int, x: Vec, m: Vec, signal: Vec, moving: Vec, seen: Vec, by_seen: Vec) -> None:
         """Settle one operator and replace the signal by its output."""
-        kernels, states, columns = self.stages[k]
+        code, states, columns = self.stages[k]
         state, slope, seeds = x[states], m[states], self.seeds[columns]
-        kernels.rest(signal, moving, seen, by_seen, self.values[columns], kernels.constants[2], seeds, state, slope)
-        room = np.empty((len(state) + len(seeds)) * DIRECTIONS)
-        kernels.differentiate(state, slope, signal, moving, seeds, self.kept[k], np.arange(signal.size + 1), room)
+        code.rest(0, signal, moving, seen, by_seen, self.values[columns], seeds, state, slope)
+        each = np.arange(signal.size + 1, dtype=np.intc)
+        signal[:], moving[:] = code.differentiate(self.kept[k], each, signal, moving, seeds, state, slope)
 
 
 _ROUNDING = 1e-6  # share of a store, for a delay that fills it except for rounding
-_LANES, _MOST_IDLE = 8, 5  # directions in one vector instruction; idle ones that cost less than single directions
 
 
 @final
 class StagedChain:
-    """Compiled free runs of a chain, batched, with exact sensitivities to all parameters.
+    """Free runs of a chain in the engine, batched, with exact sensitivities to all parameters.
 
-    Each operator is compiled once and alone, so that new structures in a search need no compilation. Values equal the
-    chain's `transition` to rounding.
+    Values equal the chain's `transition` to rounding.
 
     Args:
         chain: its operators and their order; its values are used only where a call gives none.
@@ -130,8 +129,9 @@ class StagedChain:
         states = parameters = 0
         for operator in chain.operators:
             s, p = len(operator.states), len(operator.parameters)
-            self._stages.append((stage_kernels(operator), slice(states, states + s), slice(parameters, parameters + p)))
+            self._stages.append((chain_code([operator]), slice(states, states + s), slice(parameters, parameters + p)))
             states, parameters = states + s, parameters + p
+        self._code = chain_code(chain.operators)
         self.state_size, self.parameter_count = states, parameters
         places = zip(chain.operators, self._stages, strict=True)
         self._stores = [
@@ -156,9 +156,9 @@ class StagedChain:
         m = np.empty((*x.shape, seeds.shape[1]))
         signals = [np.ascontiguousarray(signal, dtype=np.float64) for signal in (command, angle)]
         still = np.zeros((command.size, seeds.shape[1]))
-        for k, (kernels, state, columns) in enumerate(self._stages):
+        for k, (code, state, columns) in enumerate(self._stages):
             u, seen = signals[k > self._core], signals[k >= self._core]
-            kernels.rest(u, still, seen, still, p[columns], kernels.constants[2], seeds[columns], x[state], m[state])
+            code.rest(0, u, still, seen, still, p[columns], seeds[columns], x[state], m[state])
         return x, m
 
     def simulate(self, commands: Vec, dt_s: float, states: Vec, values: Vec | None = None) -> tuple[Vec, Vec]:
@@ -177,15 +177,10 @@ class StagedChain:
         """
         self._check(commands, states)
         p, x = self._rows(values, commands.shape[1]), np.array(states, dtype=np.float64, order="C")
-        signal = np.ascontiguousarray(commands, dtype=np.float64)
         self._require_room(p, dt_s)
-        for kernels, state, parameters in self._stages:
-            kept = np.empty((kernels.kept[0], signal.shape[1]))
-            kernels.prepare(p[parameters], dt_s, kernels.constants[0], kept)
-            following = np.empty_like(signal)
-            kernels.simulate(x[state], signal, kept, following)
-            signal = following
-        return signal, x
+        one = values is None or np.ndim(values) == 1
+        kept = self._code.prepare(np.ascontiguousarray(p[:, :1]) if one else p, dt_s)
+        return self._code.simulate(kept, x, np.ascontiguousarray(commands, dtype=np.float64)), x
 
     def settled(
         self, command: Vec, angle: Vec, dt_s: float, values: Vec | None = None, seeds: Vec | None = None
@@ -243,33 +238,21 @@ class StagedChain:
             Angles (T,) [deg] and their derivatives (T, D).
         """
         seeds, first = self._seeds(seeds), np.array([0, commands.size]) if first is None else first
-        if seeds.shape[1] > DIRECTIONS:
-            parts = [slice(a, a + DIRECTIONS) for a in range(0, seeds.shape[1], DIRECTIONS)]
-            runs = [
-                self.differentiate(commands, dt_s, state, slope[:, :, d], values, seeds[:, d], first) for d in parts
-            ]
-            return runs[0][0], np.hstack([moving for _, moving in runs])
-        count, more = seeds.shape[1], -seeds.shape[1] % _LANES
-        if 0 < more <= _MOST_IDLE:
-            seeds, slope = (np.pad(part, [(0, 0)] * (part.ndim - 1) + [(0, more)]) for part in (seeds, slope))
-        x, m = np.ascontiguousarray(state), np.ascontiguousarray(slope)
-        signal, moving = np.array(commands, dtype=np.float64), np.zeros((commands.size, seeds.shape[1]))
-        room = np.empty((self.state_size + self.parameter_count) * DIRECTIONS)
-        for (kernels, states, columns), kept in zip(self._stages, self._kept(dt_s, values), strict=True):
-            kernels.differentiate(x[states], m[states], signal, moving, seeds[columns], kept, first, room)
-        return signal, moving[:, :count]
+        p = self._rows(values, 1)
+        self._require_room(p, dt_s)
+        arrays = (np.ascontiguousarray(part, dtype=np.float64) for part in (commands, state, slope))
+        u, x, m = arrays
+        kept = self._code.prepare(p, dt_s)
+        return self._code.differentiate(kept, np.asarray(first, dtype=np.intc), u, None, seeds, x, m)
 
     def _seeds(self, seeds: Vec | None) -> Vec:
         return np.eye(self.parameter_count) if seeds is None else np.ascontiguousarray(seeds, dtype=np.float64)
 
     def _kept(self, dt_s: float, values: Vec | None) -> list[Vec]:
         """Quantities of every operator that depend on parameters and sample time alone."""
-        p, slopes = self._rows(values, 1), []
+        p = self._rows(values, 1)
         self._require_room(p, dt_s)
-        for kernels, _, columns in self._stages:
-            slopes.append(np.empty((kernels.kept[1], 1)))
-            kernels.prepare_slopes(p[columns], dt_s, kernels.constants[1], slopes[-1])
-        return slopes
+        return [code.prepare(p[columns], dt_s) for code, _, columns in self._stages]
 
     def _rows(self, values: Vec | None, rows: int) -> Vec:
         p = self.chain.values if values is None else np.asarray(values, dtype=np.float64)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from functools import lru_cache
-from importlib import resources
+from collections.abc import Sequence
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -14,7 +12,7 @@ from hystmpc.trials.types import Vec
 
 from ..chain import Chain
 from ..contract.metadata import InitialRule, ModelMetadata
-from ..kernels.numba_ import generated_module, njit
+from ..kernels.numba_ import njit
 from ..model import Inverse, Predictor
 from ..operators.dynamics import Delay, stored
 from ..operators.operator import Operator
@@ -23,7 +21,6 @@ from ..prediction.compiled import CompiledPredictor
 _MOVE_WEIGHT = 1e-3  # of a squared move of the input against a squared deviation of the output
 _ROUNDS = 3  # linearisations
 _LINEAR = 1e-6  # share of the output's change that the linearisation may miss
-_NUMBERS = np.array([_MOVE_WEIGHT, _ROUNDS, _LINEAR])
 _ACTS = 1e-6  # share of the greatest answer below which an input does not act yet
 _WHOLE = 1e-9  # share of a sample by which a delay of whole samples may be short of them
 _FREE = 1e9  # bound of moves that have none
@@ -60,9 +57,6 @@ class Drive:
         facts_of_drive = {"kind": "drive", "initial": rest, "conditioned": rest, "warmup_samples": 0, "noise": None}
         facts_of_drive |= {"chain": None, "connections": ()}
         self.predictor = CompiledPredictor(chain.transition, chain.values, facts.model_copy(update=facts_of_drive))
-        run = self.predictor.kernels
-        self._fit = _compiled_fit(run.linearise.__module__)
-        self._known = self.predictor.parameters, self.predictor.sample_s, run.tangent_constants
         self.size = chain.state_size
         self.delay_samples = sum(int(o.delay_s / facts.dt_s + _WHOLE) for o in operators if isinstance(o, Delay))
 
@@ -80,8 +74,19 @@ class Drive:
         Exact for linear dynamics, by Gauss-Newton steps for others; each program by an active-set method for bounded
         least squares (Stark and Parker, Computational Statistics 10 (1995)).
         """
-        inputs, outputs = np.empty((2, wanted.size))
-        first = self._fit(state, *self._known, wanted, u_last, min(reach, _FREE), _NUMBERS, inputs, outputs)
+        inputs, moves = np.full(wanted.size, u_last), np.zeros(wanted.size)
+        outputs, response = self.predictor.linearise(state, inputs)
+        first = first_acting(response)
+        for _ in range(_ROUNDS):
+            by_move = np.cumsum(response[:, ::-1], axis=1)[:, ::-1].copy()
+            found = moves.copy()
+            bounded_moves(by_move, wanted - outputs, found, min(reach, _FREE), _MOVE_WEIGHT)
+            promised, before = outputs + by_move @ (found - moves), outputs
+            moves, inputs = found, u_last + np.cumsum(found)
+            outputs, response = self.predictor.linearise(state, inputs)
+            change = np.max(np.abs(outputs - before))
+            if np.max(np.abs(outputs - promised)) <= _LINEAR * max(1.0, change):
+                break
         return DriveFit(inputs, outputs, first)
 
 
@@ -127,14 +132,6 @@ def first_acting(response: Any) -> int:
             if abs(response[k, j]) > _ACTS * most:
                 return k
     return int(response.shape[0])
-
-
-@lru_cache(maxsize=64)
-def _compiled_fit(chain: str) -> Callable[..., int]:
-    header = f"from {chain} import linearise\nfrom {__name__} import bounded_moves, first_acting\n\n\n"
-    loops = resources.files("hystmpc.models.kernels").joinpath("drive_loops.py").read_text(encoding="utf-8")
-    fit: Callable[..., int] = generated_module(header + loops).fit
-    return fit
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from functools import lru_cache
-from importlib import resources
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -15,10 +12,9 @@ from hystmpc.trials.errors import ModelError
 from hystmpc.trials.types import Vec
 
 from ..contract.metadata import ModelMetadata
-from ..kernels.numba_ import generated_module, njit
+from ..kernels.numba_ import njit
 from ..model import Inverse, InvertiblePredictor, LoadedModel, Predictor
 from ..prediction.compiled import CompiledPredictor
-from ..prediction.exported import RoutedPredictor
 from .drive import DrivenInverse
 
 
@@ -275,6 +271,8 @@ class StepwiseFollower(Follower):
         self._predictor, self._inverse = predictor, inverse
 
     def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
+        if not np.isfinite(state).all():  # a clamp of a network's gates would hide not-a-number
+            return np.full((2, wanted.size), u_last)
         free = self._followed(state, wanted, u_last, bounds._replace(reach=np.inf))
         moves = np.abs(np.diff(free, prepend=u_last))
         return np.stack(
@@ -294,38 +292,15 @@ class StepwiseFollower(Follower):
 
 @final
 class CompiledFollower(Follower):
-    """Inverse along a horizon in one compiled call, for chains and for networks with a companion chain.
+    """Inverse of a chain along a horizon in one call of the engine."""
 
-    Args:
-        network: network represented by the chain; None for the chain itself.
-        size: entries of the network's state.
-    """
-
-    def __init__(
-        self,
-        inverse: CompiledInverse,
-        chain: CompiledPredictor,
-        network: RoutedPredictor | None = None,
-        size: int = 0,
-    ) -> None:
-        route = None if network is None else network.route
-        self._packed: Any = 0 if route is None else route.packed
-        kernels = chain.kernels
-        self._kernel = _compiled_follow(
-            kernels.command_for.__module__, None if route is None else route.sample.__module__
-        )
-        self._chain = (chain.parameters, chain.sample_s, kernels.step_constants, kernels.slope_constants)
-        self._inverted = np.array([inverse.low, inverse.high])
-        self._size = size
+    def __init__(self, inverse: CompiledInverse, chain: CompiledPredictor) -> None:
+        self._run, self._inverted = chain.run, np.array([inverse.low, inverse.high])
 
     def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
-        plans = np.empty((2, wanted.size))
-        if not np.isfinite(state).all():  # a clamp of the gates would hide not-a-number
-            plans[:] = u_last
-            return plans
-        ends = np.array(bounds), self._inverted
-        self._kernel(self._packed, self._size, state, *self._chain, wanted, u_last, *ends, plans)
-        return plans
+        if not np.isfinite(state).all():
+            return np.full((2, wanted.size), u_last)
+        return self._run.follow(state, wanted, u_last, np.array(bounds), self._inverted)
 
 
 @final
@@ -369,24 +344,4 @@ def follower_for(predictor: Predictor, inverse: Inverse) -> Follower:
         return DrivenFollower(inverse)
     if isinstance(inverse, CompiledInverse) and isinstance(inverse.predictor, CompiledPredictor):
         return CompiledFollower(inverse, inverse.predictor)
-    if isinstance(inverse, CompanionInverse) and isinstance(inverse.inverse, CompiledInverse):
-        network, chain = inverse.predictor.predictor, inverse.inverse.predictor
-        if isinstance(network, RoutedPredictor) and isinstance(chain, CompiledPredictor):
-            return CompiledFollower(inverse.inverse, chain, network, inverse.predictor.size)
     return StepwiseFollower(predictor, inverse)
-
-
-_NO_NETWORK = '''@njit(cache=True)
-def sample(packed, states, rows, v, theta):
-    """No network."""
-'''
-
-
-@lru_cache(maxsize=64)
-def _compiled_follow(chain: str, network: str | None) -> Callable[..., Any]:
-    """Compiled `follow_loops.follow` for the kernels of a chain and of a network's `sample`; None for no network."""
-    header = f"from {chain} import command_for, step\n"
-    header += _NO_NETWORK if network is None else f"from {network} import sample\n"
-    loops = resources.files("hystmpc.models.kernels").joinpath("follow_loops.py").read_text(encoding="utf-8")
-    follow: Callable[..., Any] = generated_module(f"{header}\n\n{loops}").follow
-    return follow

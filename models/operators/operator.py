@@ -61,7 +61,7 @@ class Operator(ABC):
     """Block of a simulator: a causal map of a scalar signal with explicit state.
 
     A subclass is a frozen dataclass with one field for each parameter, and its equation is a CasADi expression. NumPy,
-    compiled, torch, CasADi and ONNX forms, Jacobians included, are derived from it (`kernels/program.py`). An operator
+    compiled, torch, CasADi and ONNX forms, Jacobians included, are derived from it (`models/program.py`). An operator
     of variable size defines its parameters, states and template.
 
     Raises:

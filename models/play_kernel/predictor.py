@@ -103,7 +103,7 @@ def linearise(model: Any, state: Any, plan: Any, theta: Any, jacobian: Any) -> N
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def command_for(model: Any, state: Any, wanted: float, low: Any, high: Any, last: Any) -> Any:
-    """Command in [low, high] whose next angle is `wanted`: bracketed Newton, as in `chain_loops`."""
+    """Command in [low, high] whose next angle is `wanted`: bracketed Newton, as in `core/inverse.c`."""
     size, gain = state.size, model[0][0]
     x, slope = state.copy(), np.empty(2 * state.size + 1)
     u = min(max(last, low), high)

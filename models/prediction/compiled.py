@@ -7,33 +7,38 @@ from typing import Any, Self, final
 import casadi as ca
 import numpy as np
 
+from hystmpc.core.chain import ChainCode, PreparedChain
 from hystmpc.trials.types import Vec
 
 from ..contract.metadata import ModelMetadata
-from ..kernels.chain_kernels import compile_step
-from ..kernels.program import dense
 from ..model import InvertiblePredictor
+from ..program import dense
 from ..simulator import Simulator
+from ..stages import function_program, prepared
 
 
 @final
 class CompiledPredictor(InvertiblePredictor):
     """Compiled roll-out and linearisation of a symbolic step (state, u, p, dt) -> (theta, next state).
 
+    Args:
+        run: the same step for the engine; that of the expression as a whole where left out.
+
     Attributes:
-        parameters, sample_s: p (P,) and dt (1,) [s], as the kernels take them.
+        parameters, sample_s: p (P,) and dt [s].
     """
 
-    def __init__(self, transition: Any, p: Vec, metadata: ModelMetadata) -> None:
+    def __init__(self, transition: Any, p: Vec, metadata: ModelMetadata, run: PreparedChain | None = None) -> None:
         super().__init__(metadata)
         self.transition, self._facts = transition, metadata
-        self.kernels = compile_step(transition)
-        self.parameters, self.sample_s = np.asarray(p, dtype=np.float64), np.array([metadata.dt_s])
+        self.parameters, self.sample_s = np.asarray(p, dtype=np.float64), metadata.dt_s
+        self.run = run or PreparedChain(ChainCode([function_program(transition)]), self.parameters, metadata.dt_s)
 
     @classmethod
     def of_simulator(cls, simulator: Simulator) -> CompiledPredictor:
         """Predictor of a simulator at its sample time."""
-        return cls(simulator.chain.transition, simulator.chain.values, simulator.metadata())
+        chain, facts = simulator.chain, simulator.metadata()
+        return cls(chain.transition, chain.values, facts, prepared(chain.operators, facts.dt_s))
 
     @classmethod
     def of_function(cls, function: Any, metadata: ModelMetadata) -> CompiledPredictor:
@@ -57,23 +62,13 @@ class CompiledPredictor(InvertiblePredictor):
         return type(self)(dense("held", [x, u, p, dt], [theta, following]), self.parameters, self._facts)
 
     def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
-        following, theta, run = state.reshape(1, -1).copy(), np.empty((1, 1)), self.kernels
-        run.simulate(following, np.array([[u]]), self.parameters, self.sample_s, run.step_constants, theta)
-        return float(theta[0, 0]), following[0]
+        return self.run.step(state, u)
 
     def rollout(self, state: Vec, plans: Vec) -> Vec:
-        plans = np.ascontiguousarray(plans, dtype=np.float64)
-        theta, run = np.empty(plans.shape), self.kernels
-        run.rollout(state, plans, self.parameters, self.sample_s, run.step_constants, theta)
-        return theta
+        return self.run.roll_out(state, plans)
 
     def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
-        plan = np.ascontiguousarray(plan, dtype=np.float64)
-        theta, jacobian, run = np.empty(plan.size), np.empty((plan.size, plan.size)), self.kernels
-        run.linearise(state, plan, self.parameters, self.sample_s, run.tangent_constants, theta, jacobian)
-        return theta, jacobian
+        return self.run.linearise(state, plan)
 
     def command_for(self, state: Vec, theta: float, low: float, high: float, last: float) -> float:
-        run = self.kernels
-        u = run.command_for(state, theta, low, high, last, self.parameters, self.sample_s, run.slope_constants)
-        return float(u)
+        return self.run.command_for(state, theta, low, high, last)

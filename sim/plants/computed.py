@@ -11,14 +11,15 @@ from typing import Any, Self, final
 import numpy as np
 from numpy.typing import NDArray
 
+from hystmpc.core.chain import PreparedChain
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.effects.catalogue import EFFECTS
-from hystmpc.models.kernels.chain_kernels import ChainKernels, compile_step
 from hystmpc.models.operators.dynamics import Delay, Lag
 from hystmpc.models.operators.measurement import Sensor
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.slow_changes import Creep
+from hystmpc.models.stages import chain_code, prepared
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
@@ -164,7 +165,7 @@ class OperatorCascade:
 
     def __init__(self, operators: Sequence[Operator], dt_s: float) -> None:
         self._chain = Chain(operators[0], after=tuple(operators[1:])) if operators else None
-        self._kernels = compile_step(self._chain.transition) if self._chain else None
+        self._run = prepared(operators, dt_s) if operators else None
         self._dt_s = dt_s
 
     @property
@@ -182,20 +183,20 @@ class OperatorCascade:
         """Compute the output for a signal (T,), and the state after it; `settle` as of `run_chain`."""
         if self._chain is None:
             return signal, state
-        return run_chain(self._chain, self._dt_s, state, signal, self._kernels, settle)
+        return run_chain(self._chain, self._dt_s, state, signal, self._run, settle)
 
 
 def run_chain(
-    chain: Chain, dt_s: float, state: Vec, signal: Vec, kernels: ChainKernels | None = None, settle: bool = False
+    chain: Chain, dt_s: float, state: Vec, signal: Vec, run: PreparedChain | None = None, settle: bool = False
 ) -> tuple[Vec, Vec]:
     """Compute the output (T,) of a chain for a signal (T,), and its final state; the given state (S,) is unchanged.
 
     Args:
-        kernels: of the chain; if left out they are searched, which takes longer than a sample.
+        run: of the chain and the sample time; made where left out, which takes longer than a sample.
         settle: whether clock-driven effects are frozen, with their clocks at zero afterwards.
     """
-    kernels = kernels or compile_step(chain.transition)
-    after, shown = state.reshape(1, -1).copy(), np.empty((1, signal.size))
-    row, values = np.ascontiguousarray(signal, dtype=np.float64)[None], still(chain) if settle else chain.values
-    kernels.simulate(after, row, values, np.array([dt_s]), kernels.step_constants, shown)
+    if settle:
+        run = PreparedChain(chain_code(chain.operators), still(chain), dt_s)
+    run = run or prepared(chain.operators, dt_s)
+    shown, after = run.run(state[None], signal[None])
     return shown[0], np.where(clocks(chain), 0.0, after[0]) if settle else after[0]

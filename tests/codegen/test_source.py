@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from hystmpc.cli.main import app
 from hystmpc.codegen import export_controller
-from hystmpc.models.kernels.program import BINARY, UNARY
+from hystmpc.models.program import BINARY, UNARY
 from hystmpc.trials.errors import ExportError
 
 from .compiled import EXAMPLES, STRICT, compile_c, compilers, run_sanitized, tried

@@ -1,24 +1,20 @@
-"""Running one operator over a signal, by its compiled kernel."""
+"""Running one operator over a signal, by the engine."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from hystmpc.models.chain import Chain
-from hystmpc.models.kernels.chain_kernels import compile_step
 from hystmpc.models.operators.operator import Operator
+from hystmpc.models.stages import prepared
 
 from .zoo import DT
 
 
 def run_operator(operator: Operator, u: np.ndarray, seen: float = 0.0, dt: float = DT) -> np.ndarray:
     """Output over `u`, from rest at the first input with the output seen at `seen`."""
-    chain = Chain(operator)
-    kernels = compile_step(chain.transition)
     state = np.array(operator_rest(operator, float(u[0]), seen)).reshape(1, -1)
-    theta = np.empty((1, u.size))
-    kernels.simulate(state, u[None].astype(float), chain.values, np.array([dt]), kernels.step_constants, theta)
-    return theta[0]
+    return prepared([operator], dt).run(state, u[None])[0][0]
 
 
 def operator_rest(operator: Operator, u: float, seen: float) -> np.ndarray:

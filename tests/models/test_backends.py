@@ -1,4 +1,4 @@
-"""One equation, five backends: CasADi, compiled, NumPy, torch and ONNX give one result."""
+"""One equation, five backends: CasADi, the engine, NumPy, torch and ONNX give one result."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ import onnx
 import onnxruntime as ort
 import pytest
 
+from hystmpc.core.chain import ChainCode, PreparedChain
 from hystmpc.models.chain import Chain, operators
 from hystmpc.models.contract.onnx_nodes import step_graph
 from hystmpc.models.identify.free_run import StagedChain
-from hystmpc.models.kernels.chain_kernels import compile_step
-from hystmpc.models.kernels.program import BINARY, NUMPY, SCALAR, TORCH, UNARY, array_program, dense
+from hystmpc.models.program import BINARY, NUMPY, SCALAR, TORCH, UNARY, array_program, dense
+from hystmpc.models.stages import chain_code, function_program, prepared
 from hystmpc.trials.errors import ModelError
 
 from .zoo import CHAINS, DT, EXAMPLES, WITH_EFFECTS
@@ -46,14 +47,20 @@ def by_casadi(chain: Chain, states: np.ndarray, u: np.ndarray) -> np.ndarray:
     return np.array([np.concatenate([np.asarray(y).ravel(), np.asarray(x).ravel()]) for y, x in rows])
 
 
-compiled = cache(lambda chain: compile_step(chain.transition))
+engine_run = cache(lambda chain: prepared(chain.operators, DT))
 
 
-def by_kernel(chain: Chain, states: np.ndarray, u: np.ndarray) -> np.ndarray:
-    kernels = compiled(chain)
-    following, theta = states.copy(), np.empty_like(u)
-    kernels.simulate(following, u, chain.values, np.array([DT]), kernels.step_constants, theta)
-    return np.hstack([theta, following])
+def by_engine(chain: Chain, states: np.ndarray, u: np.ndarray) -> np.ndarray:
+    return np.hstack(engine_run(chain).run(states, u))
+
+
+def by_engine_one_by_one(chain: Chain, states: np.ndarray, u: np.ndarray) -> np.ndarray:
+    return np.array([np.append(*engine_run(chain).step(x, float(v[0]))) for x, v in zip(states, u, strict=True)])
+
+
+def by_engine_as_a_whole(chain: Chain, states: np.ndarray, u: np.ndarray) -> np.ndarray:
+    code = ChainCode([function_program(chain.transition)])
+    return np.hstack(PreparedChain(code, chain.values, DT).run(states, u))
 
 
 def by_numpy(chain: Chain, states: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -95,7 +102,9 @@ def by_onnx(chain: Chain, states: np.ndarray, u: np.ndarray) -> np.ndarray:
 
 
 @every_case
-@pytest.mark.parametrize("backend", [by_kernel, by_numpy, by_torch, by_onnx])
+@pytest.mark.parametrize(
+    "backend", [by_engine, by_engine_one_by_one, by_engine_as_a_whole, by_numpy, by_torch, by_onnx]
+)
 def test_backends_agree(backend: object, chain: Chain) -> None:
     states, u = points(chain)
     np.testing.assert_allclose(backend(chain, states, u), by_casadi(chain, states, u), rtol=1e-12, atol=1e-10)  # type: ignore[operator]
@@ -120,7 +129,7 @@ def finite_difference(chain: Chain, state: np.ndarray, u: float, step: float = 1
     """Central differences of (theta, next state) by (state, u)."""
     nudges = step * np.eye(state.size + 1)
     around = np.append(state, u) + np.concatenate([nudges, -nudges])
-    ahead, behind = np.split(by_kernel(chain, around[:, :-1].copy(), around[:, -1:].copy()), 2)
+    ahead, behind = np.split(by_engine(chain, around[:, :-1].copy(), around[:, -1:].copy()), 2)
     return (ahead - behind).T / (2 * step)
 
 
@@ -141,16 +150,13 @@ def test_jacobian_is_that_of_finite_differences_away_from_kinks(chain: Chain) ->
 @pytest.mark.parametrize("chain", [case for case in NAMED if case.id in FAST or "oscillator" in str(case.id)])
 def test_parameter_sensitivity_is_that_of_finite_differences(chain: Chain) -> None:
     """Those of every operator are the exact ones of CasADi in test_free_run."""
-    kernels = compiled(chain)
     u = 3 - 3 * np.cos(2 * np.pi * 0.37 * np.arange(0, 6, DT)) + 0.01 * np.sin(np.arange(0, 6, DT))
     # Off round numbers: a delay of a whole number of samples sits on a kink of its own.
-    p, dt = chain.values * 1.0137 + 1e-3, np.array([DT])
+    p, code = chain.values * 1.0137 + 1e-3, chain_code(chain.operators)
     state = np.full(chain.state_size, 31.0)
 
     def run(values: np.ndarray) -> np.ndarray:
-        x, theta = state[None].copy(), np.empty((1, u.size))
-        kernels.simulate(x, u[None], values, dt, kernels.step_constants, theta)
-        return theta[0]
+        return PreparedChain(code, values, DT).run(state[None], u[None])[0][0]
 
     theta, gradient = StagedChain(chain).differentiate(u, DT, state[:, None], np.zeros((state.size, 1, p.size)), p)
     np.testing.assert_allclose(theta, run(p), atol=1e-10)
@@ -163,13 +169,11 @@ def test_parameter_sensitivity_is_that_of_finite_differences(chain: Chain) -> No
 
 @pytest.mark.parametrize("chain", ONE_OF_EACH)
 def test_linearisation_along_a_plan_is_the_product_of_the_steps(chain: Chain) -> None:
-    """Compiled horizon Jacobian against the chain rule on CasADi's step derivatives."""
-    kernels = compiled(chain)
+    """The engine's Jacobian of a horizon against the chain rule on CasADi's step derivatives."""
     rng = np.random.default_rng(3)
     plan = np.cumsum(rng.normal(0, 0.3, 12)) + 3.0
     state = np.full(chain.state_size, 2.0)
-    theta, jacobian = np.empty(12), np.empty((12, 12))
-    kernels.linearise(state, plan, chain.values, np.array([DT]), kernels.tangent_constants, theta, jacobian)
+    theta, jacobian = engine_run(chain).linearise(state, plan)
     x, u = ca.SX.sym("x", chain.state_size), ca.SX.sym("u")
     angle, following = chain.bound(DT)(x, u)
     step = dense("step", [x, u], [angle, following, ca.jacobian(ca.vertcat(angle, following), ca.vertcat(x, u))])

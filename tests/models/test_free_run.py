@@ -8,9 +8,9 @@ import pytest
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.identify.free_run import StagedChain
-from hystmpc.models.kernels.program import dense
 from hystmpc.models.operators.slow_changes import Creep, TrialShift
 from hystmpc.models.operators.static_curves import Contact, NonlinearGain
+from hystmpc.models.program import dense
 from hystmpc.trials.errors import ModelError
 
 from .zoo import BACKLASH, CHAINS, DT, EXAMPLES, RATE_PI

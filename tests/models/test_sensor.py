@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.models.chain import Chain
-from hystmpc.models.kernels.program import NUMPY, array_program, dense
 from hystmpc.models.operators.measurement import Sensor, draw, start_of_seed
+from hystmpc.models.program import NUMPY, array_program, dense
 from hystmpc.trials.errors import ModelError
 
 from .running import run_chain

@@ -1,7 +1,7 @@
-"""From an operator's CasADi expression to the program that the engine runs: instructions in phases, and where slopes are.
+"""Operators as programs of the engine: the instructions of a CasADi expression in phases, and where its slopes are.
 
-A step is y = f(x, u, p, dt), x' = g(x, u, p, dt). Its instructions are sorted by what they need, since most of them need
-no loop over time:
+A step is y = f(x, u, p, dt), x' = g(x, u, p, dt). Its instructions are sorted by what they need, since most of them
+need no loop over time:
 
     once     parameters and sample time alone
     ahead    the input: for all samples of a block together
@@ -22,10 +22,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from hystmpc.core.chain import StageProgram
+from hystmpc.core.chain import ChainCode, PreparedChain, StageProgram
 
-from .kernels.program import BINARY, UNARY, Instruction, dense, instructions
 from .operators.operator import Operator
+from .program import BINARY, UNARY, Instruction, dense, instructions
 
 CODES = {name: code for code, name in enumerate((*BINARY, *UNARY, "select"))}
 """Number of each operation; `core/program.c` has the same list."""
@@ -34,6 +34,23 @@ _STATE, _INPUT, _PARAMETER, _TIME = range(4)
 """Arguments of a step."""
 _X, _U, _P = range(3)
 """What a slope is the derivative by."""
+AHEAD, THROUGH, SLOPES = range(3)
+
+
+@lru_cache(maxsize=1024)
+def _in_series(stages: tuple[StageProgram, ...]) -> ChainCode:
+    return ChainCode(stages)
+
+
+def chain_code(operators: Sequence[Operator]) -> ChainCode:
+    """Operators in series for the engine, by their structure alone."""
+    return _in_series(tuple(operator_program(operator) for operator in operators))
+
+
+def prepared(operators: Sequence[Operator], dt_s: float) -> PreparedChain:
+    """Operators in series with their parameters, at a sample time [s]."""
+    values = [value for operator in operators for value in operator.values]
+    return PreparedChain(chain_code(operators), np.array(values), dt_s)
 
 
 def operator_program(operator: Operator) -> StageProgram:
@@ -317,7 +334,7 @@ class _Phases:
         return [CODES[self.steps[v].name], out, *read, *read[-1:] * (3 - len(read))]
 
     def _groups(self, size: int) -> list[list[int]]:
-        """States in an order in which each group needs itself and earlier ones alone (strongly connected components)."""
+        """States in an order in which each group needs itself and earlier ones alone."""
         needs: dict[int, set[int]] = {i: set() for i in range(size)}
         for t in self.terms:
             if not t.of_output and t.by == _X and t.j < size:
@@ -326,7 +343,7 @@ class _Phases:
 
 
 class _Rows:
-    """Row of the block's table for every value: kept, states, next states, inputs, outputs, then room that is reused."""
+    """Row of the block's table for every value: kept, states, next states, inputs, outputs, room that is reused."""
 
     def __init__(self, phases: _Phases, sizes: Sequence[int]) -> None:
         states, inputs, _, outputs = sizes
@@ -363,7 +380,7 @@ class _Rows:
             move[2:] = [self.of[move[2]]] * 3
 
     def with_early_moves(self, code: list[list[int]]) -> list[list[int]]:
-        """Phase `ahead` with the copies into known states, each behind what it copies and before what reads the state."""
+        """Phase `ahead` with copies into known states, each behind what it copies and before what reads the state."""
         p, result, done = self._phases, [], 0
         for i in p.known:
             needed = p._behind([p.following[i]])
@@ -378,26 +395,7 @@ class _Rows:
         """Rooms for the other values, from the first instruction that writes to the last one that reads."""
         p = self._phases
         order = [*p.ahead, *p.through, *p.behind, *p.slopes]
-        position = {v: k for k, v in enumerate(order)}
-        end_of_through, end = len(p.ahead) + len(p.through), len(order)
-        last = dict(position)
-        for k, v in enumerate(order):
-            for a in p.read[v]:
-                if a in last:
-                    last[a] = max(last[a], k)
-                    if a in ahead and v in through:
-                        last[a] = max(last[a], end_of_through)  # read again at the next sample
-        for moves, until in (
-            (self.early.values(), len(p.ahead)),
-            (self.through_moves, end_of_through),
-            (self.late, end),
-        ):
-            for move in moves:
-                if move[2] in last:
-                    last[move[2]] = max(last[move[2]], until)
-        for t in p.terms:
-            if t.value in last:
-                last[t.value] = end
+        last = self._last_reads(order, through, ahead)
         rooms: list[int] = []  # position after which each room is free
         for k, v in enumerate(order):
             if v in self.of:
@@ -409,6 +407,21 @@ class _Rows:
             rooms[room] = last[v]
             self.of[v] = self.count + room
         self.count += len(rooms)
+
+    def _last_reads(self, order: Sequence[int], through: set[int], ahead: set[int]) -> dict[int, int]:
+        """Position after which nobody reads a value; what phase `through` reads, it reads again at the next sample."""
+        p = self._phases
+        ends = {AHEAD: len(p.ahead), THROUGH: len(p.ahead) + len(p.through), SLOPES: len(order)}
+        last = {v: k for k, v in enumerate(order)}
+        reads = [(a, k) for k, v in enumerate(order) for a in p.read[v]]
+        reads += [(a, ends[THROUGH]) for v in through for a in p.read[v] if a in ahead]
+        reads += [(move[2], ends[AHEAD]) for move in self.early.values()]
+        reads += [(move[2], ends[THROUGH]) for move in self.through_moves]
+        reads += [(move[2], ends[SLOPES]) for move in self.late] + [(t.value, ends[SLOPES]) for t in p.terms]
+        for v, position in reads:
+            if v in last:
+                last[v] = max(last[v], position)
+        return last
 
     def code(self, values: Sequence[int]) -> list[list[int]]:
         """Instructions that compute some values, by rows."""
