@@ -93,18 +93,29 @@ enum { MOST_ROUNDS = 200 };
 
 /* The command of a state that has been set. */
 static real command_for(const single *c, real wanted, real low, real high, real last) {
+    const real ends[2] = {low, high};
+    int tried[2] = {0, 0};
     real u = least(most(last, low), high);
     const real tolerance = MISS * most(R(1.0), absolute(wanted));
     for (int round = 0; round < MOST_ROUNDS; round++) {
         real slope;
         const real miss = wanted - angle_at(c, u, &slope);
+        const int up = miss > R(0.0);
         if (absolute(miss) <= tolerance) break;
-        if (miss > R(0.0)) low = u;
+        if (up) low = u;
         else high = u;
         if (high - low <= NARROW * most(R(1.0), absolute(high))) break;
-        /* At an end of the range that is the answer, Newton points outside: try the end itself before halving. */
-        const real newton = slope > R(0.0) ? u + miss / slope : high + R(1.0);
-        u = low < newton && newton < high ? newton : R(0.5) * (low + high);
+        /* On a flat branch, or where an end of the range is the answer, Newton points outside: the end itself is tried
+         * before the bracket is halved, and Newton goes on from there. */
+        const real newton = slope > R(0.0) ? u + miss / slope : high + R(1.0), end = up ? high : low;
+        if (low < newton && newton < high) {
+            u = newton;
+        } else if (!tried[up] && end == ends[up]) {
+            tried[up] = 1;
+            u = end;
+        } else {
+            u = R(0.5) * (low + high);
+        }
     }
     return u;
 }
@@ -129,8 +140,11 @@ void hystmpc_chain_follow(const int *chain, const real *kept, const real *x, con
     for (int i = 0; i < size; i++) state[0][i] = x[i];
     for (int k = 0; k < samples; k++) {
         for (int row = 0; row < rows; row++) {
+            /* Beyond the rate limit nothing has to be looked for: the angle does not fall with the command. */
+            const real near = row ? most(before[1] - reach, inverted[0]) : inverted[0];
+            const real far = row ? least(before[1] + reach, inverted[1]) : inverted[1];
             set_state(&c, state[row]);
-            const real goal = command_for(&c, wanted[k], inverted[0], inverted[1], before[row]);
+            const real goal = command_for(&c, wanted[k], near, far, before[row]);
             u[row] = least(most(is_finite(goal) ? goal : before[row], low), high);
             if (row == 0 && rows == 1 && absolute(u[0] - before[0]) > reach) {
                 rows = 2; /* from here on two memories; the second one goes as far as the limit allows */

@@ -122,8 +122,7 @@ HYSTMPC_LOCAL real command_for(const real *x, real wanted, real last) {
             u = newton;
         } else if (!looked[up] && end == (up ? HYSTMPC_INVERSE_HIGH : HYSTMPC_INVERSE_LOW)) {
             looked[up] = 1;
-            slope_middle(x, end, &theta, &d);
-            if (up ? wanted - theta >= -tolerance : wanted - theta <= tolerance) return end;
+            u = end;
         }
     }
     return u;
