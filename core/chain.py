@@ -18,7 +18,7 @@ from .library import engine
 Array = NDArray[np.float64]
 Whole = NDArray[np.intc]
 
-_own = threading.local()
+_local = threading.local()
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,7 +261,7 @@ def _strides(*numbers: int) -> Whole:
 
 def _memory(size: int) -> NDArray[np.uint8]:
     """Room of this thread for a call."""
-    memory: NDArray[np.uint8] | None = getattr(_own, "memory", None)
+    memory: NDArray[np.uint8] | None = getattr(_local, "memory", None)
     if memory is None or memory.size < size:
-        memory = _own.memory = np.empty(max(int(size), 1 << 20), dtype=np.uint8)
+        memory = _local.memory = np.empty(max(int(size), 1 << 20), dtype=np.uint8)
     return memory

@@ -79,10 +79,10 @@ class Drive:
         first = first_acting(response)
         for _ in range(_ROUNDS):
             by_move = np.cumsum(response[:, ::-1], axis=1)[:, ::-1].copy()
-            found = moves.copy()
-            bounded_moves(by_move, wanted - outputs, found, min(reach, _FREE), _MOVE_WEIGHT)
-            promised, before = outputs + by_move @ (found - moves), outputs
-            moves, inputs = found, u_last + np.cumsum(found)
+            solved = moves.copy()
+            bounded_moves(by_move, wanted - outputs, solved, min(reach, _FREE), _MOVE_WEIGHT)
+            promised, before = outputs + by_move @ (solved - moves), outputs
+            moves, inputs = solved, u_last + np.cumsum(solved)
             outputs, response = self.predictor.linearise(state, inputs)
             change = np.max(np.abs(outputs - before))
             if np.max(np.abs(outputs - promised)) <= _LINEAR * max(1.0, change):
