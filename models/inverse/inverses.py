@@ -18,7 +18,6 @@ from ..contract.metadata import ModelMetadata
 from ..kernels.numba_ import generated_module, njit
 from ..model import Inverse, InvertiblePredictor, LoadedModel, Predictor
 from ..prediction.compiled import CompiledPredictor
-from ..prediction.exported import RoutedPredictor
 from .drive import DrivenInverse
 
 
@@ -294,37 +293,21 @@ class StepwiseFollower(Follower):
 
 @final
 class CompiledFollower(Follower):
-    """Inverse along a horizon in one compiled call, for chains and for networks with a companion chain.
+    """Inverse of a chain along a horizon in one compiled call."""
 
-    Args:
-        network: network represented by the chain; None for the chain itself.
-        size: entries of the network's state.
-    """
-
-    def __init__(
-        self,
-        inverse: CompiledInverse,
-        chain: CompiledPredictor,
-        network: RoutedPredictor | None = None,
-        size: int = 0,
-    ) -> None:
-        route = None if network is None else network.route
-        self._packed: Any = 0 if route is None else route.packed
+    def __init__(self, inverse: CompiledInverse, chain: CompiledPredictor) -> None:
         kernels = chain.kernels
-        self._kernel = _compiled_follow(
-            kernels.command_for.__module__, None if route is None else route.sample.__module__
-        )
+        self._kernel = _compiled_follow(kernels.command_for.__module__)
         self._chain = (chain.parameters, chain.sample_s, kernels.step_constants, kernels.slope_constants)
         self._inverted = np.array([inverse.low, inverse.high])
-        self._size = size
 
     def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
         plans = np.empty((2, wanted.size))
-        if not np.isfinite(state).all():  # a clamp of the gates would hide not-a-number
+        if not np.isfinite(state).all():
             plans[:] = u_last
             return plans
         ends = np.array(bounds), self._inverted
-        self._kernel(self._packed, self._size, state, *self._chain, wanted, u_last, *ends, plans)
+        self._kernel(0, 0, state, *self._chain, wanted, u_last, *ends, plans)
         return plans
 
 
@@ -369,10 +352,6 @@ def follower_for(predictor: Predictor, inverse: Inverse) -> Follower:
         return DrivenFollower(inverse)
     if isinstance(inverse, CompiledInverse) and isinstance(inverse.predictor, CompiledPredictor):
         return CompiledFollower(inverse, inverse.predictor)
-    if isinstance(inverse, CompanionInverse) and isinstance(inverse.inverse, CompiledInverse):
-        network, chain = inverse.predictor.predictor, inverse.inverse.predictor
-        if isinstance(network, RoutedPredictor) and isinstance(chain, CompiledPredictor):
-            return CompiledFollower(inverse.inverse, chain, network, inverse.predictor.size)
     return StepwiseFollower(predictor, inverse)
 
 
@@ -383,10 +362,9 @@ def sample(packed, states, rows, v, theta):
 
 
 @lru_cache(maxsize=64)
-def _compiled_follow(chain: str, network: str | None) -> Callable[..., Any]:
-    """Compiled `follow_loops.follow` for the kernels of a chain and of a network's `sample`; None for no network."""
-    header = f"from {chain} import command_for, step\n"
-    header += _NO_NETWORK if network is None else f"from {network} import sample\n"
+def _compiled_follow(chain: str) -> Callable[..., Any]:
+    """Compiled `follow_loops.follow` for the kernels of a chain."""
+    header = f"from {chain} import command_for, step\n{_NO_NETWORK}"
     loops = resources.files("hystmpc.models.kernels").joinpath("follow_loops.py").read_text(encoding="utf-8")
     follow: Callable[..., Any] = generated_module(f"{header}\n\n{loops}").follow
     return follow
