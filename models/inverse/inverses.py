@@ -274,6 +274,8 @@ class StepwiseFollower(Follower):
         self._predictor, self._inverse = predictor, inverse
 
     def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
+        if not np.isfinite(state).all():  # a clamp of a network's gates would hide not-a-number
+            return np.full((2, wanted.size), u_last)
         free = self._followed(state, wanted, u_last, bounds._replace(reach=np.inf))
         moves = np.abs(np.diff(free, prepend=u_last))
         return np.stack(
