@@ -154,8 +154,8 @@ def pack_network(weights: NetworkWeights, lanes: int) -> NDArray[np.uint8]:
     """
     head = np.zeros(weights.units(lanes))
     head[: weights.hidden] = weights.head
-    parts = [pack_panels(weights, lanes), head, weights.input_head, weights.radii]
-    numbers = np.concatenate(parts).astype(np.float32)
+    rest = np.concatenate([head, weights.input_head, weights.radii]).astype(np.float32)
+    numbers = np.concatenate([pack_panels(weights, lanes), rest])
     header, s = np.zeros(1, _HEADER), weights.scaling
     header["scaling"] = [s.u_offset, s.u_scale, s.theta_offset, s.theta_scale]
     header["head_bias"], header["front"] = weights.head_bias, weights.front
