@@ -15,6 +15,7 @@ from ..contract.metadata import ModelMetadata
 from ..kernels.numba_ import njit
 from ..model import Inverse, InvertiblePredictor, LoadedModel, Predictor
 from ..prediction.compiled import CompiledPredictor
+from ..prediction.exported import RoutedPredictor
 from .drive import DrivenInverse
 
 
@@ -292,15 +293,23 @@ class StepwiseFollower(Follower):
 
 @final
 class CompiledFollower(Follower):
-    """Inverse of a chain along a horizon in one call of the engine."""
+    """Inverse along a horizon in one call of the engine, for chains and for networks with a companion chain.
 
-    def __init__(self, inverse: CompiledInverse, chain: CompiledPredictor) -> None:
+    Args:
+        network: network represented by the chain; None for the chain itself.
+    """
+
+    def __init__(
+        self, inverse: CompiledInverse, chain: CompiledPredictor, network: RoutedPredictor | None = None
+    ) -> None:
         self._run, self._inverted = chain.run, np.array([inverse.low, inverse.high])
+        self._route = None if network is None else network.route
 
     def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
-        if not np.isfinite(state).all():
+        if not np.isfinite(state).all():  # a clamp of a network's gates would hide not-a-number
             return np.full((2, wanted.size), u_last)
-        return self._run.follow(state, wanted, u_last, np.array(bounds), self._inverted)
+        address = None if self._route is None else self._route.address
+        return self._run.follow(state, wanted, u_last, np.array(bounds), self._inverted, address)
 
 
 @final
@@ -344,4 +353,8 @@ def follower_for(predictor: Predictor, inverse: Inverse) -> Follower:
         return DrivenFollower(inverse)
     if isinstance(inverse, CompiledInverse) and isinstance(inverse.predictor, CompiledPredictor):
         return CompiledFollower(inverse, inverse.predictor)
+    if isinstance(inverse, CompanionInverse) and isinstance(inverse.inverse, CompiledInverse):
+        network, chain = inverse.predictor.predictor, inverse.inverse.predictor
+        if isinstance(network, RoutedPredictor) and isinstance(chain, CompiledPredictor):
+            return CompiledFollower(inverse.inverse, chain, network)
     return StepwiseFollower(predictor, inverse)

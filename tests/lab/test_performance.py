@@ -14,7 +14,6 @@ import pytest
 from hystmpc.ctrl.linearised.qp import DaqpOptions, DaqpSolver, OsqpOptions, OsqpSolver
 from hystmpc.ctrl.mpc import PlanCost
 from hystmpc.ctrl.mpc_settings import WeightsSettings
-from hystmpc.models.kernels.vector_emitter import host_shape
 from hystmpc.models.model import Predictor
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Progress
@@ -50,7 +49,7 @@ pytestmark = pytest.mark.slow
 TINY = Effort(rounds=2, burst_s=1e-3, burst_most=2)
 SMALL = BenchSettings(hidden=8, horizon=6, samples=16, effort=TINY)
 SECTIONS = {
-    "LSTM, kernels, one thread": 2 if host_shape() is None else 3,  # the plain route beside the vector kernel
+    "LSTM, kernels, one thread": 2,
     "LSTM, kernels, 2 threads": 1,
     "LSTM, linearised MPC, one thread": 1 + len(METHODS),
     "LSTM, sampling MPC, 1 thread": 2,

@@ -325,3 +325,11 @@ def test_a_function_that_reads_several_modules_has_one_digest_in_every_process()
         for seed in ("1", "2", "3")
     ]
     assert len(set(digests)) == 1
+
+
+def test_a_generated_module_is_imported_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("HYSTMPC_CACHE_DIR", str(tmp_path))
+    first = generated_module("VALUE = 1\n")
+    assert generated_module("VALUE = 1\n") is first
+    assert generated_module("VALUE = 2\n").VALUE == 2
+    assert len(list(tmp_path.glob("hystmpc_kernel_*.py"))) == 2
