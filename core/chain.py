@@ -193,7 +193,7 @@ class ChainCode:
     def lead(
         self, kept: Array, state: Array, wanted: Array, last: float, reach: float, numbers: Array
     ) -> tuple[Array, Array, int]:
-        """Inputs (H,) whose outputs come closest to `wanted` (H,), those outputs, and the first one that they change."""
+        """Inputs (H,) whose outputs come closest to `wanted` (H,), these outputs, and the first that they change."""
         inputs, outputs = np.empty((2, wanted.size))
         memory = _memory(self.functions.lead_drive_bytes(self.code, wanted.size))
         first = self.functions.lead_drive(
