@@ -22,7 +22,7 @@ HYSTMPC_LOCAL void hystmpc_clip_plan(int samples, real lower, real upper, real r
             u = clamp(u, before - reach, before + reach);
             if (absolute(u - before) <= half && lower < u && u < upper) u = before;
         }
-        commands[k] = before = before == before ? u : before;
+        commands[k] = before = u;
     }
 }
 

@@ -29,7 +29,7 @@ typedef struct {
     real low, high;          /* soft limits a, b of the angle [deg] */
 } hystmpc_task;
 
-/* A plan (H) sample by sample to the nearest admissible command, in place; all after a not-a-number are none. */
+/* A plan (H) sample by sample to the nearest admissible command, in place; not-a-number stays. */
 HYSTMPC_LOCAL void hystmpc_clip_plan(int samples, real lower, real upper, real reach, real last, real *commands);
 
 /* J = sum_k q_k (theta_k - r_k)^2 + w_s dist(theta_k, [a, b])^2 + w_r (u_k - u_{k-1})^2 + w_e (u_k - f_k)^2, infinite
@@ -41,10 +41,9 @@ HYSTMPC_LOCAL real hystmpc_plan_cost(const hystmpc_law *l, const hystmpc_task *t
 enum { HYSTMPC_HELD = 0, HYSTMPC_INVERTED = 1, HYSTMPC_FOLLOWING = 5 };
 
 /* Admissible plans (N, H) into `plans`, and N; `boxed` (H) is the inverse within the box, row 1 of the plans holds that
- * within the rate limit already. remaining (left): what is left of the last plan; resting: with small steps.  */
+ * within the rate limit already. remaining (left): what is left of the last plan; resting: with small steps. */
 HYSTMPC_LOCAL int hystmpc_candidates(const hystmpc_law *l, const real *boxed, const real *remaining, int left,
                                      real u_last, int resting, real *plans);
-
 
 /* Rows of the program, and how many of them are soft. */
 HYSTMPC_LOCAL int hystmpc_program_rows(const hystmpc_law *l);

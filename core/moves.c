@@ -34,9 +34,11 @@ static void free_optimum(bounded *b) {
     const int size = b->size;
     int count = 0;
     copy(b->linear, b->wanted, size);
-    for (int k = 0; k < size; k++)
-        for (int i = 0; i < size && b->side[k] != R(0.0); i++)
-            b->wanted[i] -= b->hessian[k * size + i] * (b->side[k] * b->reach);
+    for (int k = 0; k < size; k++) {
+        const real at_bound = b->side[k] * b->reach;
+        if (b->side[k] == R(0.0)) continue;
+        for (int i = 0; i < size; i++) b->wanted[i] -= b->hessian[k * size + i] * at_bound;
+    }
     for (int k = 0; k < size; k++) {
         if (b->side[k] != R(0.0)) continue;
         int beside = 0;

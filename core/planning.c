@@ -1,13 +1,31 @@
-/* Tables of Python to structs of the law and back. */
+/* Arrays of Python to structs of the law and back. */
 #include "planning.h"
 
-hystmpc_law hystmpc_law_of(const int *whole, const double *numbers) {
-    const int samples = whole[0], moves = whole[1], *starts = whole + 4;
-    const double *tracking = numbers + 6, *blocking = tracking + samples;
-    const hystmpc_law law = {samples,    moves,    whole[2],       whole[3],   numbers[0], numbers[1],
-                             numbers[2], numbers[3], numbers[4], numbers[5], tracking,   starts,
-                             starts + moves, blocking, blocking + samples * moves};
-    return law;
+hystmpc_task hystmpc_task_of(const hystmpc_law *l, const void *task) {
+    const double *const numbers = task;
+    const hystmpc_task t = {numbers + 3, numbers + 3 + l->horizon, numbers[0], numbers[1], numbers[2]};
+    return t;
+}
+
+int hystmpc_law_size(void) { return (int)sizeof(hystmpc_law); }
+
+void hystmpc_law_init(const int *whole, const double *numbers, char *law) {
+    hystmpc_law *const l = (hystmpc_law *)(void *)law;
+    l->horizon = whole[0];
+    l->moves = whole[1];
+    l->blocked = whole[2];
+    l->soft = whole[3];
+    l->starts = whole + 4;
+    l->ends = l->starts + l->moves;
+    l->lower = numbers[0];
+    l->upper = numbers[1];
+    l->reach = numbers[2];
+    l->rate_weight = numbers[3];
+    l->effort_weight = numbers[4];
+    l->soft_weight = numbers[5];
+    l->tracking = numbers + 6;
+    l->blocking = l->tracking + l->horizon;
+    l->constant = l->blocked ? l->blocking + l->horizon * l->moves : l->blocking;
 }
 
 int hystmpc_qp_bytes(int unknowns, int rows, int slacks) {
@@ -16,57 +34,71 @@ int hystmpc_qp_bytes(int unknowns, int rows, int slacks) {
 }
 
 /* Numbers of the room behind the program, in which samples are fitted too: see sampling.c. */
-static int law_reals(const hystmpc_law *l) { return l->horizon * l->moves + (l->moves + 1) * (l->moves + l->horizon); }
-
-int hystmpc_law_bytes(const int *whole) {
-    const hystmpc_law l = {.horizon = whole[0], .moves = whole[1], .soft = whole[3]};
-    return hystmpc_qp_bytes(l.moves, hystmpc_program_rows(&l), hystmpc_program_slacks(&l)) +
-           (int)sizeof(double) * law_reals(&l);
+static int law_reals(const hystmpc_law *l) {
+    return l->horizon * l->moves + (l->moves + 1) * (l->moves + l->horizon);
 }
 
-static double *place(hystmpc_qp *q, int unknowns, int rows, int slacks, int more, char *work) {
-    double *const room = (double *)(void *)work, *const behind = room + hystmpc_qp_reals(unknowns, rows, slacks);
-    hystmpc_place_qp(q, unknowns, rows, slacks, room, (int *)(void *)(behind + more));
+int hystmpc_law_bytes(const void *law, int more) {
+    const hystmpc_law *const l = law;
+    const int program = hystmpc_qp_bytes(l->moves, hystmpc_program_rows(l), hystmpc_program_slacks(l));
+    return program + (int)sizeof(double) * (law_reals(l) + more);
+}
+
+static double *place(hystmpc_qp *q, int unknowns, int rows, int slacks, int more, void *room) {
+    double *const numbers = room, *const behind = numbers + hystmpc_qp_reals(unknowns, rows, slacks);
+    hystmpc_place_qp(q, unknowns, rows, slacks, numbers, (int *)(void *)(behind + more));
     return behind;
 }
 
-double *hystmpc_place_program(const hystmpc_law *l, char *work, hystmpc_qp *q) {
-    return place(q, l->moves, hystmpc_program_rows(l), hystmpc_program_slacks(l), law_reals(l), work);
+double *hystmpc_place_program(const hystmpc_law *l, void *room, hystmpc_qp *q) {
+    return place(q, l->moves, hystmpc_program_rows(l), hystmpc_program_slacks(l), law_reals(l), room);
 }
 
 void hystmpc_clip_plans(int count, int samples, double lower, double upper, double reach, double last, double *plans) {
     for (int n = 0; n < count; n++) hystmpc_clip_plan(samples, lower, upper, reach, last, plans + n * samples);
 }
 
-int hystmpc_cheapest(const int *whole, const double *numbers, int count, const double *plans, const double *angles,
-                     const double *reference, const double *feedforward, double u_last, double low, double high,
-                     double *costs) {
-    const hystmpc_law l = hystmpc_law_of(whole, numbers);
-    const hystmpc_task t = {reference, feedforward, u_last, low, high};
+void hystmpc_costs(const void *law, const void *task, int count, const double *plans, const double *angles,
+                   double *costs) {
+    const hystmpc_law *const l = law;
+    const hystmpc_task t = hystmpc_task_of(l, task);
+    for (int n = 0; n < count; n++) costs[n] = hystmpc_plan_cost(l, &t, plans + n * l->horizon, angles + n * l->horizon);
+}
+
+int hystmpc_cheapest(const void *law, const void *task, int count, const double *plans, const double *angles,
+                     double *cost) {
     int best = 0;
+    *cost = INFINITE;
     for (int n = 0; n < count; n++) {
-        costs[n] = hystmpc_plan_cost(&l, &t, plans + n * l.horizon, angles + n * l.horizon);
-        if (costs[n] < costs[best]) best = n;
+        const hystmpc_law *const l = law;
+        double one;
+        hystmpc_costs(l, task, 1, plans + n * l->horizon, angles + n * l->horizon, &one);
+        if (one < *cost) {
+            *cost = one;
+            best = n;
+        }
     }
     return best;
 }
 
-int hystmpc_fill_candidates(const int *whole, const double *numbers, const double *targets, const double *remaining,
-                            int left, double u_last, int resting, double *plans) {
-    const hystmpc_law l = hystmpc_law_of(whole, numbers);
-    copy(targets + l.horizon, plans + HYSTMPC_INVERTED * l.horizon, l.horizon);
-    return hystmpc_candidates(&l, targets, remaining, left, u_last, resting, plans);
+int hystmpc_fill_candidates(const void *law, const double *targets, const double *remaining, int left, double u_last,
+                            int resting, double *plans) {
+    const hystmpc_law *const l = law;
+    copy(targets + l->horizon, plans + HYSTMPC_INVERTED * l->horizon, l->horizon);
+    return hystmpc_candidates(l, targets, remaining, left, u_last, resting, plans);
 }
 
-void hystmpc_program(const int *whole, const double *numbers, const double *columns, const double *reference,
-                     const double *feedforward, double u_last, double low, double high, const double *commands,
-                     const double *angles, char *work, double *hessian, double *gradient, double *rows,
+void hystmpc_blocked_jacobian(const void *law, const double *jacobian, double *columns) {
+    hystmpc_block_columns(law, jacobian, columns);
+}
+
+void hystmpc_program(const void *law, const void *task, const double *columns, const double *commands,
+                     const double *angles, void *room, double *hessian, double *gradient, double *rows,
                      double *bounds) {
-    const hystmpc_law l = hystmpc_law_of(whole, numbers);
-    const hystmpc_task t = {reference, feedforward, u_last, low, high};
+    const hystmpc_task t = hystmpc_task_of(law, task);
     hystmpc_qp q;
-    (void)hystmpc_place_program(&l, work, &q);
-    hystmpc_build_program(&q, &l, &t, commands, angles, columns);
+    (void)hystmpc_place_program(law, room, &q);
+    hystmpc_build_program(&q, law, &t, commands, angles, columns);
     copy(q.hessian, hessian, q.unknowns * q.unknowns);
     copy(q.gradient, gradient, q.unknowns);
     copy(q.columns, rows, q.unknowns * q.rows);
@@ -77,11 +109,11 @@ void hystmpc_program(const int *whole, const double *numbers, const double *colu
 
 int hystmpc_quadratic_program(int unknowns, int rows, const double *hessian, const double *gradient,
                               const double *columns, const double *lower, const double *upper, const double *soft,
-                              int changes, char *work, double *primal) {
+                              int changes, char *room, double *primal) {
     hystmpc_qp q;
     int slacks = 0;
     for (int r = 0; r < rows; r++) slacks += soft[r] > 0.0;
-    (void)place(&q, unknowns, rows, slacks, 0, work);
+    (void)place(&q, unknowns, rows, slacks, 0, room);
     copy(hessian, q.hessian, unknowns * unknowns);
     copy(gradient, q.gradient, unknowns);
     copy(columns, q.columns, unknowns * rows);
@@ -89,13 +121,8 @@ int hystmpc_quadratic_program(int unknowns, int rows, const double *hessian, con
     copy(upper, q.upper, rows);
     copy(soft, q.soft, rows);
     const int answer = hystmpc_solve_qp(&q, changes);
-    copy(q.primal, primal, unknowns);
+    if (answer >= 0) copy(q.primal, primal, unknowns);
     return answer;
-}
-
-void hystmpc_blocked_jacobian(const int *whole, const double *numbers, const double *jacobian, double *columns) {
-    const hystmpc_law l = hystmpc_law_of(whole, numbers);
-    hystmpc_block_columns(&l, jacobian, columns);
 }
 
 /* In `out` the plan after the moves and its foreseen cost; `foreseen` is room for H angles. */
@@ -108,32 +135,27 @@ static void step_after(const hystmpc_law *l, const hystmpc_task *t, const double
     out[l->horizon] = hystmpc_plan_cost(l, t, out, foreseen);
 }
 
-int hystmpc_plan_step(const int *whole, const double *numbers, const double *jacobian, const double *reference,
-                      const double *feedforward, double u_last, double low, double high, const double *commands,
-                      const double *angles, int changes, char *work, double *out) {
-    const hystmpc_law l = hystmpc_law_of(whole, numbers);
-    const hystmpc_task t = {reference, feedforward, u_last, low, high};
+int hystmpc_plan_step(const void *law, const void *task, const double *jacobian, const double *commands,
+                      const double *angles, int changes, void *room, double *out) {
+    const hystmpc_law *const l = law;
+    const hystmpc_task t = hystmpc_task_of(l, task);
     hystmpc_qp q;
-    double *const room = hystmpc_place_program(&l, work, &q);
-    if (l.blocked) hystmpc_block_columns(&l, jacobian, room);
-    hystmpc_build_program(&q, &l, &t, commands, angles, l.blocked ? room : jacobian);
-    if (!all_finite(q.gradient, l.moves) || !all_finite(q.hessian, l.moves * l.moves))
-        return all_finite(jacobian, l.horizon * l.horizon) ? HYSTMPC_NO_PROGRAM : HYSTMPC_NO_JACOBIAN;
+    double *const behind = hystmpc_place_program(l, room, &q);
+    if (l->blocked) hystmpc_block_columns(l, jacobian, behind);
+    hystmpc_build_program(&q, l, &t, commands, angles, l->blocked ? behind : jacobian);
+    if (!all_finite(q.gradient, l->moves) || !all_finite(q.hessian, l->moves * l->moves))
+        return all_finite(jacobian, l->horizon * l->horizon) ? HYSTMPC_NO_PROGRAM : HYSTMPC_NO_JACOBIAN;
     const int answer = hystmpc_solve_qp(&q, changes);
-    if (answer >= 0) step_after(&l, &t, jacobian, commands, angles, q.primal, room, out);
+    if (answer >= 0) step_after(l, &t, jacobian, commands, angles, q.primal, behind, out);
     return answer;
 }
 
-void hystmpc_after_moves(const int *whole, const double *numbers, const double *jacobian, const double *reference,
-                         const double *feedforward, double u_last, double low, double high, const double *commands,
-                         const double *angles, const double *primal, char *work, double *out) {
-    const hystmpc_law l = hystmpc_law_of(whole, numbers);
-    const hystmpc_task t = {reference, feedforward, u_last, low, high};
-    step_after(&l, &t, jacobian, commands, angles, primal, (double *)(void *)work, out);
+void hystmpc_after_moves(const void *law, const void *task, const double *jacobian, const double *commands,
+                         const double *angles, const double *primal, void *room, double *out) {
+    const hystmpc_task t = hystmpc_task_of(law, task);
+    step_after(law, &t, jacobian, commands, angles, primal, room, out);
 }
 
-void hystmpc_parts_of_step(const int *whole, const double *numbers, const double *commands, const double *plan,
-                           double u_last, double *parts) {
-    const hystmpc_law l = hystmpc_law_of(whole, numbers);
-    hystmpc_part_plans(&l, commands, plan, u_last, parts);
+void hystmpc_parts_of_step(const void *law, const double *commands, const double *plan, double u_last, double *parts) {
+    hystmpc_part_plans(law, commands, plan, u_last, parts);
 }

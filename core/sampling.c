@@ -90,23 +90,22 @@ void hystmpc_fit_columns(int count, int samples, int size, const double *plans, 
     }
 }
 
-int hystmpc_sampled_steps(const int *whole, const double *numbers, int count, const double *plans,
-                          const double *angles, const double *whitening, const double *reference,
-                          const double *feedforward, double u_last, double low, double high, const double *commands,
-                          const double *start, int changes, char *work, double *parts) {
+int hystmpc_sampled_steps(const void *law, const void *task, int count, const double *plans, const double *angles,
+                          const double *whitening, const double *commands, const double *start, int changes,
+                          void *room, double *parts) {
     static const double shares[PARTS] = {1.0, 0.6, 0.35, 0.2, 0.1};
-    const hystmpc_law l = hystmpc_law_of(whole, numbers);
-    const hystmpc_task t = {reference, feedforward, u_last, low, high};
-    const int samples = l.horizon;
+    const hystmpc_law *const l = law;
+    const hystmpc_task t = hystmpc_task_of(l, task);
+    const int samples = l->horizon;
     hystmpc_qp q;
-    double *const columns = hystmpc_place_program(&l, work, &q), *const room = columns + samples * l.moves;
-    hystmpc_fit_columns(count, samples, l.moves, plans, angles, commands, start, l.ends, whitening, room, columns);
-    hystmpc_build_program(&q, &l, &t, commands, start, columns);
+    double *const columns = hystmpc_place_program(l, room, &q), *const behind = columns + samples * l->moves;
+    hystmpc_fit_columns(count, samples, l->moves, plans, angles, commands, start, l->ends, whitening, behind, columns);
+    hystmpc_build_program(&q, l, &t, commands, start, columns);
     const int answer = hystmpc_solve_qp(&q, changes);
     if (answer < 0) return answer;
-    hystmpc_deviation(&l, q.primal, room);
+    hystmpc_deviation(l, q.primal, behind);
     for (int i = 0; i < PARTS; i++)
-        for (int k = 0; k < samples; k++) parts[i * samples + k] = commands[k] + shares[i] * room[k];
+        for (int k = 0; k < samples; k++) parts[i * samples + k] = commands[k] + shares[i] * behind[k];
     return answer;
 }
 
@@ -126,7 +125,7 @@ static double median_of(double *values, int count) {
 }
 
 void hystmpc_weighted_mean(int count, int samples, const double *plans, const double *costs, double temperature,
-                           double *room, double *mean) {
+                           void *room, double *mean) {
     double lowest = INFINITE, total = 0.0;
     for (int n = 0; n < count; n++) lowest = least(lowest, costs[n]);
     copy(costs, room, count);

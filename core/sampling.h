@@ -22,15 +22,13 @@ HYSTMPC_API void hystmpc_fit_columns(int count, int samples, int size, const dou
 
 /* The step of the program with the fitted columns, and parts of it (5, H), not yet admissible; answers as
  * `hystmpc_quadratic_program`. */
-HYSTMPC_API int hystmpc_sampled_steps(const int *whole, const double *numbers, int count, const double *plans,
-                                      const double *angles, const double *whitening, const double *reference,
-                                      const double *feedforward, double u_last, double low, double high,
-                                      const double *commands, const double *start, int changes, char *work,
-                                      double *parts);
+HYSTMPC_API int hystmpc_sampled_steps(const void *law, const void *task, int count, const double *plans,
+                                      const double *angles, const double *whitening, const double *commands,
+                                      const double *start, int changes, void *room, double *parts);
 
 /* Mean (H) of plans (N, H) with the weights exp(-(J - J_min) / lambda), lambda = temperature (median J - J_min); costs
  * J (N); room: N numbers. */
 HYSTMPC_API void hystmpc_weighted_mean(int count, int samples, const double *plans, const double *costs,
-                                       double temperature, double *room, double *mean);
+                                       double temperature, void *room, double *mean);
 
 #endif

@@ -14,7 +14,7 @@ from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.command import CommandPlan
 from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.linearised.planner import TrackingQp
-from hystmpc.ctrl.linearised.qp import DaqpOptions, DaqpSolver, OsqpOptions, OsqpSolver, QpData
+from hystmpc.ctrl.linearised.qp import ActiveSetOptions, OsqpOptions, OsqpSolver, QpData
 from hystmpc.ctrl.mpc import PlanCost
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings, WeightsSettings
 from hystmpc.trials.types import Vec
@@ -122,7 +122,7 @@ def _median(values: Sequence[float]) -> float:
 def program_rows(subject: Subject, settings: BenchSettings, clock: Clock) -> list[Comparison]:
     """Row of the quadratic programs of a recorded scan, each around the last plan shifted by one sample."""
     qp, programs = recorded_programs(subject, settings, WEIGHTS)
-    ours, peer = DaqpSolver(qp.pattern, DaqpOptions()), OsqpSolver(qp.pattern, OsqpOptions())
+    ours, peer = ActiveSetOptions().solver(qp.pattern), OsqpSolver(qp.pattern, OsqpOptions())
     own = TimedCall(_PROGRAM, in_turn(programs, lambda _, p: ours.solve(p)))
     times = clock.measure([own, TimedCall(_DAQP, in_turn(programs, lambda _, p: peer.solve(p)))])
     row = Comparison(f"{subject.name}, QP alone H={settings.horizon}", _PROGRAM, _DAQP, Reads.FASTER)

@@ -68,7 +68,7 @@ REFUSED: Mapping[str, tuple[dict[str, Any], str]] = {
         {"model": "builtin:pi", "controller": {"kind": "pid"}},
         "got controller.kind pid, supported is linearised_mpc",
     ),
-    "osqp": (tip("builtin:pi", solver="osqp"), "got controller.solver osqp, supported is daqp"),
+    "osqp": (tip("builtin:pi", solver="osqp"), "got controller.solver osqp, supported is active_set"),
     "frames": (
         tip("builtin:pi", estimator={"sensor": "intermittent"}),
         "got estimator.sensor intermittent, supported are continuous and none",
