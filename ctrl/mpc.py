@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -55,8 +56,9 @@ class PlanningProblem:
         numbers[1], numbers[2] = self.angle_limits
         numbers[3 : 3 + horizon] = self.reference
         numbers[3 + horizon :] = self.feedforward
-        self.__dict__["_numbers"] = numbers  # lives as long as the address is used
-        return int(numbers.ctypes.data)
+        known = ctypes.c_char.from_buffer(numbers)  # keeps the numbers
+        self.__dict__["_numbers"] = known  # as long as the address is used
+        return ctypes.addressof(known)
 
 
 @final
@@ -75,14 +77,14 @@ class PlanCost:
     def __call__(self, plans: Vec, angles: Vec, problem: PlanningProblem) -> Vec:
         """Compute the costs (N,) of the plans (N, H) with angles (N, H); infinite where a prediction is not finite."""
         values = np.empty(len(plans))
-        rows = np.ascontiguousarray(plans), np.ascontiguousarray(angles, dtype=np.float64)
+        rows = np.ascontiguousarray(plans), np.ascontiguousarray(angles)
         self._costs(self._tables.address, problem.task, len(plans), *rows, values)
         return values
 
     def best(self, plans: Vec, angles: Vec, problem: PlanningProblem) -> CommandPlan:
         """Return the first of the cheapest plans; its cost is infinite if no prediction is finite."""
         cost = np.empty(1)
-        angles = np.ascontiguousarray(angles, dtype=np.float64)
+        angles = np.ascontiguousarray(angles)
         row = self._cheapest(self._tables.address, problem.task, len(plans), plans, angles, cost)
         return CommandPlan(plans[row], angles[row], float(cost[0]))
 

@@ -115,7 +115,7 @@ class SampledGaussNewton:
         The result is empty, shape (0, H), if the program cannot be solved.
         """
         parts, tables = np.empty((_PARTS, start.commands.size)), self._tables
-        samples = len(plans), plans, np.ascontiguousarray(angles, dtype=np.float64), self._whitening
+        samples = len(plans), plans, np.ascontiguousarray(angles), self._whitening
         known = tables.address, problem.task, *samples, start.commands, start.angles
         return parts if self._steps(*known, _CHANGES, tables.room, parts) >= 0 else parts[:0]
 

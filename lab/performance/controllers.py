@@ -25,7 +25,7 @@ from .subjects import WEIGHTS, BenchSettings, Clock, Instant, Subject, TimedCall
 
 OURS = "linearised MPC, whole step"
 _SPEED, _TAIL = 60.0, 2.0
-_PROGRAM, _DAQP = "DAQP, cold", "OSQP, updated workspace"
+_PROGRAM, _OSQP = "active set, cold", "OSQP, updated workspace"
 _SAMPLING, _MPPI = "sampling MPC, whole step", "pytorch-mppi, torch nn.LSTM"
 _GOAL = 6.0
 
@@ -124,9 +124,9 @@ def program_rows(subject: Subject, settings: BenchSettings, clock: Clock) -> lis
     qp, programs = recorded_programs(subject, settings, WEIGHTS)
     ours, peer = ActiveSetOptions().solver(qp.pattern), OsqpSolver(qp.pattern, OsqpOptions())
     own = TimedCall(_PROGRAM, in_turn(programs, lambda _, p: ours.solve(p)))
-    times = clock.measure([own, TimedCall(_DAQP, in_turn(programs, lambda _, p: peer.solve(p)))])
-    row = Comparison(f"{subject.name}, QP alone H={settings.horizon}", _PROGRAM, _DAQP, Reads.FASTER)
-    row = row.with_times(times.get(_PROGRAM), times.get(_DAQP))
+    times = clock.measure([own, TimedCall(_OSQP, in_turn(programs, lambda _, p: peer.solve(p)))])
+    row = Comparison(f"{subject.name}, QP alone H={settings.horizon}", _PROGRAM, _OSQP, Reads.FASTER)
+    row = row.with_times(times.get(_PROGRAM), times.get(_OSQP))
     if row.times is None or row.other_times is None:
         return [row]
     apart = [float(np.abs(ours.solve(p).primal - peer.solve(p).primal).max()) for p in programs]
