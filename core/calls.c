@@ -46,10 +46,10 @@ void hystmpc_filters_correct(const hystmpc_learner *n, const double *past, doubl
     hystmpc_learning_correct(n, past, (hystmpc_filters *)(void *)filters, y, angle, disturbance);
 }
 
-void hystmpc_filters_state(const hystmpc_learner *n, const double *past, const double *filters, const double *angles,
-                           double *added, double *part) {
+void hystmpc_filters_state(const hystmpc_learner *n, const double *past, const double *filters, double *part) {
     const hystmpc_filters *l = (const hystmpc_filters *)(const void *)filters;
-    hystmpc_learning_added(n, past, l, angles, added);
+    double *angles = part + sizeof(hystmpc_learned) / sizeof(double);
+    hystmpc_learning_added(n, past, l, angles, angles);
     hystmpc_learning_state(n, past, l, (hystmpc_learned *)(void *)part);
 }
 
@@ -61,10 +61,11 @@ void hystmpc_part_run(const hystmpc_basis *b, const double *part, const double *
 }
 
 void hystmpc_part_linearise(const hystmpc_basis *b, const double *part, const double *plan, int samples,
-                            double *angles, double *jacobian, double *work) {
+                            double *block) {
     const hystmpc_learned *s = (const hystmpc_learned *)(const void *)part;
-    hystmpc_add_learned(b, s, plan, samples, angles);
-    hystmpc_add_slopes(b, s, plan, samples, jacobian, work);
+    double *jacobian = block + samples;
+    hystmpc_add_learned(b, s, plan, samples, block);
+    hystmpc_add_slopes(b, s, plan, samples, jacobian, jacobian + samples * samples);
 }
 
 double hystmpc_part_advance(const hystmpc_basis *b, double *part, double u, double angle) {

@@ -19,16 +19,17 @@ HYSTMPC_API void hystmpc_filters_init(const hystmpc_learner *n, double *past, do
 HYSTMPC_API void hystmpc_filters_advance(const hystmpc_learner *n, double *past, double u);
 HYSTMPC_API void hystmpc_filters_correct(const hystmpc_learner *n, const double *past, double *filters, double y,
                                          double angle, double disturbance);
-/* Also what is added to the model's angles (delay + 1). */
+/* `part`, and behind it the model's angles (delay + 1) <- what is added to each. */
 HYSTMPC_API void hystmpc_filters_state(const hystmpc_learner *n, const double *past, const double *filters,
-                                       const double *angles, double *added, double *part);
+                                       double *part);
 
 /* A learned part along plans (plans, samples): angles (plans, samples) of the model <- those of the whole. */
 HYSTMPC_API void hystmpc_part_run(const hystmpc_basis *b, const double *part, const double *plans, int count,
                                   int samples, double *angles);
-/* The same along one plan, with the jacobian (samples, samples). Work: (HYSTMPC_MEMORY + 2) * samples. */
+/* The same along one plan. `block`: rows of so many samples, the angles, the jacobian (samples), HYSTMPC_MEMORY + 2
+ * for work. */
 HYSTMPC_API void hystmpc_part_linearise(const hystmpc_basis *b, const double *part, const double *plan, int samples,
-                                        double *angles, double *jacobian, double *work);
+                                        double *block);
 /* One sample later; answers the whole's angle. */
 HYSTMPC_API double hystmpc_part_advance(const hystmpc_basis *b, double *part, double u, double angle);
 

@@ -197,8 +197,10 @@ HYSTMPC_LOCAL void hystmpc_learning_added(const hystmpc_learner *n, const real *
     real memory[HYSTMPC_MEMORY], f[HYSTMPC_FEATURES];
     for (int k = 0; k <= n->delay; k++) {
         const int at = delay + n->delay - k;
-        added[k] = R(0.0);
-        if (l->share == R(0.0)) continue;
+        if (l->share == R(0.0)) {
+            added[k] = R(0.0);
+            continue;
+        }
         memory_of(past, at, lag, memory);
         hystmpc_features(&n->basis, memory, past + HISTORY + (at + 1) * INSTANT + lag, 1, past[0], past[1], f);
         real total = l->z[delay][1][lag] * (angles[k] - past[2]);

@@ -36,7 +36,8 @@ HYSTMPC_LOCAL void hystmpc_learning_correct(const hystmpc_learner *n, const real
 /* How far the angle may have moved under the last commands: twice what the mean slope says. */
 HYSTMPC_LOCAL real hystmpc_learning_reach(const hystmpc_learner *n, const real *past);
 
-/* What the best drive adds to the model's angles, of which the last is that of now: (delay + 1). */
+/* What the best drive adds to the model's angles (delay + 1), the last one under the newest command; both may be
+ * one array. */
 HYSTMPC_LOCAL void hystmpc_learning_added(const hystmpc_learner *n, const real *past, const hystmpc_filters *l,
                                           const real *angles, real *added);
 

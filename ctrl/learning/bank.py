@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
@@ -70,6 +70,7 @@ FILTERS = np.dtype(
     align=True,
 )
 """Layout of `BankState.filters`, that of `hystmpc_filters` in core/learned_state.h."""
+_OF_ERROR, _OF_SHARE = (FILTERS.fields[name][1] // 8 for name in ("forecast_error", "share"))  # type: ignore[index]
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,12 +120,12 @@ class BankState:
 
         It is at most 1.2 in each block, smoothed over the last blocks with motion; 0 at first.
         """
-        return float(self._entry("forecast_error"))
+        return self.filters.item(_OF_ERROR)
 
     @property
     def share(self) -> float:
         """Share with which the best drive acts, 0 to 1."""
-        return float(self._entry("share"))
+        return self.filters.item(_OF_SHARE)
 
     @property
     def blocks(self) -> int:
@@ -274,7 +275,7 @@ class FilterBank:
         engine().filters_correct(ctypes.byref(self._learner), state.past, filters, y, angle, disturbance)
         return replace(state, filters=filters)
 
-    def acting(self, state: BankState, angles: Vec) -> tuple[Vec, Vec]:
+    def acting(self, state: BankState, angles: Sequence[float]) -> tuple[Vec, Vec]:
         """Learned part of the best drive, times the share.
 
         Args:
@@ -283,6 +284,7 @@ class FilterBank:
         Returns:
             What it adds to each of the angles (delay + 1,) [deg]; the learned part of a model's state (LEARNED_SIZE,).
         """
-        added, part = np.empty(angles.size), np.empty(LEARNED_SIZE)
-        engine().filters_state(ctypes.byref(self._learner), state.past, state.filters, angles, added, part)
-        return added, part
+        both = np.empty(LEARNED_SIZE + len(angles))
+        both[LEARNED_SIZE:] = angles
+        engine().filters_state(ctypes.byref(self._learner), state.past, state.filters, both)
+        return both[LEARNED_SIZE:], both[:LEARNED_SIZE]

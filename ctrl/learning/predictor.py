@@ -45,7 +45,7 @@ class LearnedPredictor(Predictor):
         return FilterBank(self.dt, self.command_range, scale, sensor, delay, self._settings)
 
     def initial(self, y: float, u: float) -> Vec:
-        _, part = self._bank.acting(self._bank.init(y, u, y), np.array([y]))
+        _, part = self._bank.acting(self._bank.init(y, u, y), (y,))
         return np.concatenate([self.model.initial(y, u), part])
 
     def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
@@ -70,10 +70,11 @@ class LearnedPredictor(Predictor):
 
     def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         angles, jacobian = self.model.linearise(self.below(state), plan)
-        part, plan = state[state.size - LEARNED_SIZE :], np.ascontiguousarray(plan)
-        angles, jacobian, work = angles.copy(), np.array(jacobian, order="C"), np.empty((MEMORY + 2) * plan.size)
-        engine().part_linearise(ctypes.byref(self._bank.basis), part, plan, plan.size, angles, jacobian, work)
-        return angles, jacobian
+        part, plan, horizon = state[state.size - LEARNED_SIZE :], np.ascontiguousarray(plan), plan.size
+        block = np.empty((1 + horizon + MEMORY + 2, horizon))  # angles, jacobian, room for work
+        block[0], block[1 : horizon + 1] = angles, jacobian
+        engine().part_linearise(ctypes.byref(self._bank.basis), part, plan, horizon, block)
+        return block[0], block[1 : horizon + 1]
 
     def below(self, state: Vec) -> Vec:
         """State of the model without the learned part."""
@@ -189,7 +190,7 @@ class LearningEstimator(Observer):
 
     def _acting(self, bank: BankState, model: Estimate) -> tuple[list[float], Vec]:
         """Learned part of each of the model's angles [deg], and that of the state."""
-        added, part = self._bank.acting(bank, np.array(model.angles))
+        added, part = self._bank.acting(bank, model.angles)
         return added.tolist(), part
 
     def _whole(
