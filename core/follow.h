@@ -21,9 +21,9 @@ HYSTMPC_API long hystmpc_follow_bytes(const int *chain, const hystmpc_network *n
  *     min_m  sum_k (v_k(u) - w_k)^2 + eps sum_k m_k^2   s.t.  |m_k| <= reach,   u_k = u_{k-1} + m_k
  *
  * numbers: eps; linearisations; share of the outputs' change that the linearisation may miss. */
-int hystmpc_lead_drive(const int *chain, const real *kept, const real *x, const real *wanted, int samples,
+HYSTMPC_API int hystmpc_lead_drive(const int *chain, const real *kept, const real *x, const real *wanted, int samples,
                                    double last, double reach, const real *numbers, real *inputs, real *outputs,
                                    char *memory);
-long hystmpc_lead_drive_bytes(const int *chain, int samples);
+HYSTMPC_API long hystmpc_lead_drive_bytes(const int *chain, int samples);
 
 #endif

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import Any, NamedTuple, final
+from typing import NamedTuple, final
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from hystmpc.trials.errors import ModelError
 from hystmpc.trials.types import Vec
 
 from ..contract.metadata import ModelMetadata
-from ..kernels.numba_ import njit
 from ..model import Inverse, InvertiblePredictor, LoadedModel, Predictor
 from ..prediction.compiled import CompiledPredictor
 from ..prediction.exported import RoutedPredictor
@@ -222,38 +221,12 @@ def goes_back(inverse: CompiledInverse, predictor: InvertiblePredictor) -> bool:
     return False
 
 
-_GRAIN = 1e-7  # rounding of commands, as share of the greatest move
-
-
 class Bounds(NamedTuple):
     """Least and greatest command, and greatest change per sample [mm or bar]."""
 
     low: float
     high: float
     reach: float
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def clip_plans(plans: Any, lower: float, upper: float, reach: float, last: float) -> None:
-    """Clip plans (N, H) sample by sample to the admissible commands, in place; not-a-number stays.
-
-    Commands are rounded to 1e-7 of the greatest move: the slope of a play at its edge, or at rest, depends on the side,
-    which must not depend on rounding errors.
-    """
-    grain, half = _GRAIN * reach, 0.5 * _GRAIN * reach
-    last = min(max(last, lower), upper)
-    for n in range(plans.shape[0]):
-        before = last
-        for k in range(plans.shape[1]):
-            u = plans[n, k]
-            if u == u:
-                u = np.rint(u / grain) * grain
-                u = lower if u <= lower + half else (upper if u >= upper - half else u)
-                u = min(max(u, before - reach), before + reach)
-                if abs(u - before) <= half and lower < u < upper:
-                    u = before
-            plans[n, k] = u
-            before = u
 
 
 class Follower(ABC):

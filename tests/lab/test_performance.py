@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hystmpc.ctrl.linearised.qp import DaqpOptions, DaqpSolver, OsqpOptions, OsqpSolver
+from hystmpc.ctrl.linearised.qp import ActiveSetOptions, OsqpOptions, OsqpSolver
 from hystmpc.ctrl.mpc import PlanCost
 from hystmpc.ctrl.mpc_settings import WeightsSettings
 from hystmpc.models.model import Predictor
@@ -201,7 +201,7 @@ def test_programs_with_soft_limits_mean_the_same_to_both_solvers(lstm: Subject) 
     angle = lstm.metadata.trained_angle
     soft = WeightsSettings(effort=0.0, angle_lower_deg=angle.lower, angle_upper_deg=0.5 * (angle.lower + angle.upper))
     qp, programs = recorded_programs(lstm, SMALL, soft)
-    exact = DaqpSolver(qp.pattern, DaqpOptions())
+    exact = ActiveSetOptions().solver(qp.pattern)
     iterated = OsqpSolver(qp.pattern, OsqpOptions(eps=1e-7, iterations=20_000))
     slack = max(float(np.abs(exact.solve(p).primal[SMALL.horizon :]).max()) for p in programs)
     assert slack > 1.0
