@@ -17,7 +17,6 @@ from hystmpc.ctrl.planner.settings import TipSettings, read_settings
 from hystmpc.trials.files import write_atomically
 
 from .layout import structs
-from .network import single_number
 from .problem import ControllerProblem, problem_of
 from .steps import (
     INEXACT,
@@ -203,8 +202,6 @@ def _initialiser(value: Any) -> str:
     array = np.asarray(value)
     if array.ndim:
         return "{" + ", ".join(_initialiser(part) for part in array) + "}"
-    if array.dtype == np.float32:
-        return single_number(array)
     return str(int(array)) if array.dtype.kind == "i" else number(float(array))
 
 

@@ -88,29 +88,29 @@ def _gru(arrays: Mapping[str, ArrayLike]) -> NetworkWeights:
     count = max(1, sum(name.startswith("gru.") and name.endswith(".hh.weight") for name in arrays))
     sides = [[f"gru.{k}.{side}.{part}" for side in ("ih", "hh") for part in ("weight", "bias")] for k in range(count)]
     wanted = [*(name for names in sides for name in names), "head.weight", "head.bias"]
-    found = _numbers("GRU", arrays, wanted)
-    hidden, stack = found["gru.0.hh.weight"].shape[1], []
-    for w_ih, b_ih, w_hh, b_hh in ([found[name] for name in names] for names in sides):
-        cut, none = 2 * hidden, np.zeros
-        own = np.concatenate([w_hh[:cut], none((hidden, hidden)), w_hh[cut:]])
-        below = np.concatenate([w_ih, none((hidden, w_ih.shape[1]))])
-        stack.append(LstmLayer(below, own, np.concatenate([b_ih[:cut] + b_hh[:cut], b_ih[cut:], b_hh[cut:]])))
-    head, bias = np.ravel(found["head.weight"]), found["head.bias"].item()
-    return NetworkWeights("gru", tuple(stack), head, bias, _scaling(found))
+    numbers = _numbers("GRU", arrays, wanted)
+    hidden, stack = numbers["gru.0.hh.weight"].shape[1], []
+    for w_ih, b_ih, w_hh, b_hh in ([numbers[name] for name in names] for names in sides):
+        cut = 2 * hidden
+        recurrent = np.concatenate([w_hh[:cut], np.zeros((hidden, hidden)), w_hh[cut:]])
+        below = np.concatenate([w_ih, np.zeros((hidden, w_ih.shape[1]))])
+        stack.append(LstmLayer(below, recurrent, np.concatenate([b_ih[:cut] + b_hh[:cut], b_ih[cut:], b_hh[cut:]])))
+    head, bias = np.ravel(numbers["head.weight"]), numbers["head.bias"].item()
+    return NetworkWeights("gru", tuple(stack), head, bias, _scaling(numbers))
 
 
 def _gated(arrays: Mapping[str, ArrayLike]) -> NetworkWeights:
     parts = ("lstm.0.w_ih", "lstm.0.w_hh", "lstm.0.bias", GATED_MARK, "gated.head.bias")
-    found = _numbers("gated LSTM", arrays, parts)
-    layer = LstmLayer(*(found[name] for name in parts[:3]))
-    head = np.ravel(found[GATED_MARK])
+    numbers = _numbers("gated LSTM", arrays, parts)
+    layer = LstmLayer(*(numbers[name] for name in parts[:3]))
+    head = np.ravel(numbers[GATED_MARK])
     front = [np.asarray(arrays.get(f"gated.{name}", 0.0)).item() for name in ("keep", "settled", "rate")]
     return NetworkWeights(
         "gated",
         (layer,),
         head[: layer.hidden],
-        found["gated.head.bias"].item(),
-        _scaling(found),
+        numbers["gated.head.bias"].item(),
+        _scaling(numbers),
         head[layer.hidden :],
         np.ravel(np.asarray(arrays.get("gated.radii", []), dtype=np.float64)),
         np.array(front),
@@ -125,8 +125,8 @@ def _numbers(name: str, arrays: Mapping[str, ArrayLike], parts: list[str] | tupl
     return {part: np.asarray(arrays[part], dtype=np.float64) for part in wanted}
 
 
-def _scaling(found: Mapping[str, Vec]) -> Scaling:
-    return Scaling(*(found[f"scaling.{part}"].item() for part in _SCALING))
+def _scaling(numbers: Mapping[str, Vec]) -> Scaling:
+    return Scaling(*(numbers[f"scaling.{part}"].item() for part in _SCALING))
 
 
 def pack_panels(weights: NetworkWeights, lanes: int) -> NDArray[np.float32]:

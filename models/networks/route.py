@@ -66,7 +66,7 @@ class NetworkRoute:
     def rollout(self, state: Vec, plans: Vec) -> Vec:
         """Angles (N, K) [deg] of the plans (N, K)."""
         angles, count, samples = np.empty(plans.shape), len(plans), plans.shape[1]
-        state, plans = _own(self._checked(state)), _own(plans)
+        state, plans = _copied(self._checked(state)), _copied(plans)
         room = self._engine.network_room(self.address, min(count, self._together))
 
         def roll(begin: int, end: int) -> None:
@@ -86,7 +86,7 @@ class NetworkRoute:
         """Angles (K,) [deg] along the plan (K,) and their derivatives (K, K) by its commands, lower triangular."""
         angles, jacobian = np.empty(plan.size), np.zeros((plan.size, plan.size))
         work = np.empty(self._engine.network_room(self.address, 1 + plan.size))
-        given = self.address, _own(self._checked(state)), _own(plan), plan.size
+        given = self.address, _copied(self._checked(state)), _copied(plan), plan.size
         self._engine.network_linearise(*given, angles, jacobian, work)
         return angles, jacobian
 
@@ -97,7 +97,7 @@ class NetworkRoute:
         return state
 
 
-def _own(values: Vec) -> Vec:
+def _copied(values: Vec) -> Vec:
     """A contiguous copy; the caller's may be strided or read-only."""
     return np.array(values, dtype=np.float64, order="C")
 
