@@ -141,7 +141,7 @@ def export_controller(
     return ControllerExport(
         header,
         source_text,
-        {**files, **made, "real.h": f'#include "hystmpc_problem.h"\n\n{files["real.h"]}'},
+        {**files, **made, "real.h": f'#include "hystmpc.h"\n\n{files["real.h"]}'},
         whole,
         whole - work,
         functions_used(source_text),
@@ -156,7 +156,7 @@ def _template(name: str) -> str:
 
 
 def _engine_files(sizes: Mapping[str, int]) -> Mapping[str, str]:
-    """Text of the engine's files that a controller of these sizes needs, by name, each behind those that it includes."""
+    """Text of the engine's files that a controller of these sizes needs, by name."""
     names = dict.fromkeys(name for size, needed in _ENGINE.items() if sizes[size] for name in needed)
     folder = resources.files("hystmpc.core")
     texts = {name: folder.joinpath(name).read_text(encoding="utf-8") for name in names}
@@ -175,9 +175,11 @@ def _inlined(text: str, left: dict[str, str]) -> str:
     Args:
         left: files that have not been inlined yet, by name; those inlined here are taken out.
     """
-    return re.sub(
-        r'^#include "(?!hystmpc\.h)(.+)"\n', lambda found: _inlined(left.pop(found[1], ""), left), text, flags=re.M
-    )
+
+    def included(match: re.Match[str]) -> str:
+        return _inlined(left.pop(match[1], ""), left)
+
+    return re.sub(r'^#include "(?!hystmpc\.h)(.+)"\n', included, text, flags=re.MULTILINE)
 
 
 def _guarded(name: str, text: str) -> str:
