@@ -34,15 +34,16 @@ PARTS = (
     "network",
     "state",
     "observer",
-    "qp",
-    "program",
     "planner",
-    "law",
+    "predictive",
     "feedback",
     "controller",
 )
 """The files `codegen/c/*.c`, in the order in which they are laid end to end behind those of the engine."""
 _ENGINE: Mapping[str, tuple[str, ...]] = {
+    "horizon": ("real.h", "linear.h", "qp.h", "law.h", "qp.c", "law.c"),
+    "front": ("moves.h", "moves.c"),
+    "back": ("moves.h", "moves.c"),
     "senses": ("estimator.h", "estimator.c"),
     "learns": ("learned_state.h", "basis.h", "learning.h", "basis.c", "learning.c"),
 }
@@ -52,12 +53,7 @@ _ENGINE: Mapping[str, tuple[str, ...]] = {
 _TOLERANCES: Mapping[str, tuple[float | None, float]] = {
     "miss": (1e-11, 1e-6),
     "narrow": (1e-13, 1e-6),
-    "sign": (1e-10, 1e-5),
     "linear": (1e-6, 1e-4),
-    "dependent": (1e-12, 1e-6),
-    "violation": (1e-6, 1e-5),
-    "rounding": (1e-9, 1e-5),
-    "grain": (1e-7, 1e-5),
 }
 _CHANGES = 1000  # of the active set in one program
 _MOST_SAMPLES = 1_000_000_000
@@ -144,7 +140,7 @@ def export_controller(
     return ControllerExport(
         header,
         source_text,
-        {**files, **made, "real.h": f'#include "hystmpc_problem.h"\n\n{files["real.h"]}'},
+        {**files, **made, "real.h": f'#include "hystmpc.h"\n\n{files["real.h"]}'},
         whole,
         whole - work,
         functions_used(source_text),
@@ -159,11 +155,17 @@ def _template(name: str) -> str:
 
 
 def _engine_files(sizes: Mapping[str, int]) -> Mapping[str, str]:
-    """Text of the engine's files that a controller of these sizes needs, by name, each behind those that it includes."""
-    names = ["real.h", *(name for size, needed in _ENGINE.items() if sizes[size] for name in needed)]
+    """Text of the engine's files that a controller of these sizes needs, by name."""
+    names = dict.fromkeys(name for size, needed in _ENGINE.items() if sizes[size] for name in needed)
     folder = resources.files("hystmpc.core")
     texts = {name: folder.joinpath(name).read_text(encoding="utf-8") for name in names}
-    return {name: text.replace("#ifdef HYSTMPC_SINGLE", "#if HYSTMPC_SINGLE") for name, text in texts.items()}
+    return {name: _for_export(text) for name, text in texts.items()}
+
+
+def _for_export(text: str) -> str:
+    """Text of the engine without what its library alone needs."""
+    text = text.replace("#ifdef HYSTMPC_SINGLE", "#if HYSTMPC_SINGLE").replace('#include "hystmpc_core.h"\n', "")
+    return text.replace("HYSTMPC_API", "HYSTMPC_LOCAL")
 
 
 def _inlined(text: str, left: dict[str, str]) -> str:
@@ -172,9 +174,11 @@ def _inlined(text: str, left: dict[str, str]) -> str:
     Args:
         left: files that have not been inlined yet, by name; those inlined here are taken out.
     """
-    return re.sub(
-        r'^#include "(?!hystmpc\.h)(.+)"\n', lambda found: _inlined(left.pop(found[1], ""), left), text, flags=re.M
-    )
+
+    def included(match: re.Match[str]) -> str:
+        return _inlined(left.pop(match[1], ""), left)
+
+    return re.sub(r'^#include "(?!hystmpc\.h)(.+)"\n', included, text, flags=re.MULTILINE)
 
 
 def _guarded(name: str, text: str) -> str:

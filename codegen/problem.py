@@ -14,7 +14,7 @@ from hystmpc.ctrl.build import build_controller, iterations_of, law_of, learning
 from hystmpc.ctrl.command import CommandLimits, limits_of_model, modelled_limits, narrowed_limits
 from hystmpc.ctrl.estimation.observer import ANGLE_BOUND_DEG, OutputEstimator
 from hystmpc.ctrl.feedback import REFERENCE_DEAD_ZONE_DEG, feedback_gains
-from hystmpc.ctrl.law_tables import MoveBlocking
+from hystmpc.ctrl.law_tables import LawTables, MoveBlocking
 from hystmpc.ctrl.learning.predictor import LearnedPredictor
 from hystmpc.ctrl.mpc import FOLLOWING, Candidates, PredictiveLaw
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
@@ -256,7 +256,7 @@ def _law(
         "learns": int(settings.adaptation is not None),
         "supervised": int(settings.supervisor is not None),
         "filters": 1,
-        **_program_sizes(settings, horizon, dt),
+        **_program_sizes(settings, horizon, limits, dt),
     }
     observer = settings.estimator.observer(predictor)
     parts_of_law: list[Mapping[str, Any]] = [observer.numbers()] if isinstance(observer, OutputEstimator) else []
@@ -285,17 +285,16 @@ def _weights(settings: LinearisedMpcSettings, horizon: int) -> dict[str, Any]:
     }
 
 
-def _program_sizes(settings: LinearisedMpcSettings, horizon: int, dt: float) -> dict[str, int]:
-    blocks, soft = settings.blocks(dt), settings.weights.limits_angle
-    count = horizon if blocks is None else len(blocks)
-    between = 0 if blocks is None else horizon - count
-    slack = horizon if soft else 0
+def _program_sizes(settings: LinearisedMpcSettings, horizon: int, limits: CommandLimits, dt: float) -> dict[str, int]:
+    blocks = settings.blocks(dt)
+    blocking = None if blocks is None else MoveBlocking(blocks, horizon)
+    tables = LawTables(settings.weights, horizon, limits, dt, blocking)
+    numbers, whole = tables.step_room()
     return {
-        "blocks": 0 if blocks is None else count,
-        "soft": int(soft),
-        "qp_moves": count,
-        "qp_size": count + slack,
-        "qp_rows": 2 * count + between + slack,
+        "blocks": len(blocks or ()),
+        "soft": int(tables.soft),
+        "program": max(numbers, 2 * horizon * (horizon + 2)),  # that of a planning step, of the moves of a drive
+        "program_whole": whole,
     }
 
 
@@ -307,8 +306,8 @@ def _blocking(settings: LinearisedMpcSettings, horizon: int, dt: float) -> dict[
     return {
         "block_starts": blocking.starts,
         "block_ends": blocking.ends,
-        "blocking": blocking.matrix,
-        "block_constant": blocking.constant(settings.weights),
+        "blocking": blocking.matrix.ravel(),
+        "block_constant": blocking.constant(settings.weights).ravel(),
     }
 
 

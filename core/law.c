@@ -237,12 +237,34 @@ HYSTMPC_LOCAL void hystmpc_deviation(const hystmpc_law *l, const real *primal, r
     }
 }
 
-HYSTMPC_LOCAL void hystmpc_foresee(int samples, const real *commands, const real *angles, const real *jacobian,
-                                   const real *plan, real *foreseen) {
+HYSTMPC_LOCAL void hystmpc_after_moves(const hystmpc_law *l, const hystmpc_task *t, const real *jacobian,
+                                       const real *commands, const real *angles, const real *primal, real *foreseen,
+                                       real *plan, real *cost) {
+    const int samples = l->horizon;
+    hystmpc_deviation(l, primal, plan);
+    for (int k = 0; k < samples; k++) plan[k] = commands[k] + plan[k];
+    hystmpc_clip_plan(samples, l->lower, l->upper, l->reach, t->u_last, plan);
     for (int k = 0; k < samples; k++) {
         foreseen[k] = angles[k];
         for (int j = 0; j <= k; j++) foreseen[k] += jacobian[k * samples + j] * (plan[j] - commands[j]);
     }
+    *cost = hystmpc_plan_cost(l, t, plan, foreseen);
+}
+
+HYSTMPC_LOCAL int hystmpc_step_plan(const hystmpc_law *l, const hystmpc_task *t, const real *jacobian,
+                                    const real *commands, const real *angles, int changes, real *room, int *whole,
+                                    real *plan, real *cost) {
+    const int m = l->moves, rows = hystmpc_program_rows(l), slacks = hystmpc_program_slacks(l);
+    real *const behind = room + hystmpc_qp_reals(m, rows, slacks);
+    hystmpc_qp q;
+    hystmpc_place_qp(&q, m, rows, slacks, room, whole);
+    if (l->blocked) hystmpc_block_columns(l, jacobian, behind);
+    hystmpc_build_program(&q, l, t, commands, angles, l->blocked ? behind : jacobian);
+    if (!all_finite(q.gradient, m) || !all_finite(q.hessian, m * m))
+        return all_finite(jacobian, l->horizon * l->horizon) ? HYSTMPC_NO_PROGRAM : HYSTMPC_NO_JACOBIAN;
+    const int answer = hystmpc_solve_qp(&q, changes);
+    if (answer >= 0) hystmpc_after_moves(l, t, jacobian, commands, angles, q.primal, behind, plan, cost);
+    return answer;
 }
 
 HYSTMPC_LOCAL void hystmpc_part_plans(const hystmpc_law *l, const real *commands, const real *plan, real u_last,

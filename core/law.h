@@ -60,9 +60,21 @@ HYSTMPC_LOCAL void hystmpc_build_program(hystmpc_qp *q, const hystmpc_law *l, co
 /* Deviation M w (H) of the commands from the plan. */
 HYSTMPC_LOCAL void hystmpc_deviation(const hystmpc_law *l, const real *primal, real *deviation);
 
-/* Angles (H) of another plan by the linearisation: theta_p + J (u - p), J (H, H) lower triangular. */
-HYSTMPC_LOCAL void hystmpc_foresee(int samples, const real *commands, const real *angles, const real *jacobian,
-                                   const real *plan, real *foreseen);
+/* The admissible plan (H) after the deviation of a solution z = w, and what it costs by the linearisation
+ * theta_p + J (u - p); foreseen (H): room. */
+HYSTMPC_LOCAL void hystmpc_after_moves(const hystmpc_law *l, const hystmpc_task *t, const real *jacobian,
+                                       const real *commands, const real *angles, const real *primal, real *foreseen,
+                                       real *plan, real *cost);
+
+/* What a planning step answers besides what qp.h says: no finite Jacobian, no finite program. */
+enum { HYSTMPC_NO_JACOBIAN = -5, HYSTMPC_NO_PROGRAM = -6 };
+
+/* One step from a plan (H) with this Jacobian (H, H), lower triangular: the program around it, its solution, the plan
+ * after it and its foreseen cost. Answers as `hystmpc_solve_qp`. room: H m numbers behind those of the program, and the
+ * whole ones. */
+HYSTMPC_LOCAL int hystmpc_step_plan(const hystmpc_law *l, const hystmpc_task *t, const real *jacobian,
+                                    const real *commands, const real *angles, int changes, real *room, int *whole,
+                                    real *plan, real *cost);
 
 /* Shares 1/2, 1/4 and 1/8 of the way to another plan (3, H), made admissible: a line search. */
 enum { HYSTMPC_SHARES = 3 };

@@ -27,8 +27,6 @@ int hystmpc_first_acting(const real *response, int size) {
     return size;
 }
 
-int hystmpc_moves_reals(int size) { return 2 * size * size + 4 * size; }
-
 /* The minimum with the moves of a side at that bound and the others free, by Cholesky's factors of the latter. */
 static void free_optimum(bounded *b) {
     const int size = b->size;

@@ -28,9 +28,11 @@ void hystmpc_law_init(const int *whole, const double *numbers, char *law) {
     l->constant = l->blocked ? l->blocking + l->horizon * l->moves : l->blocking;
 }
 
+static int whole_numbers(int unknowns, int slacks) { return 2 * unknowns + slacks; }
+
 int hystmpc_qp_bytes(int unknowns, int rows, int slacks) {
     return (int)sizeof(double) * hystmpc_qp_reals(unknowns, rows, slacks) +
-           (int)sizeof(int) * hystmpc_qp_whole(unknowns, slacks);
+           (int)sizeof(int) * whole_numbers(unknowns, slacks);
 }
 
 /* Numbers of the room behind the program, in which samples are fitted too: see sampling.c. */
@@ -38,10 +40,20 @@ static int law_reals(const hystmpc_law *l) {
     return l->horizon * l->moves + (l->moves + 1) * (l->moves + l->horizon);
 }
 
+static int program_reals(const hystmpc_law *l) {
+    return hystmpc_qp_reals(l->moves, hystmpc_program_rows(l), hystmpc_program_slacks(l));
+}
+
 int hystmpc_law_bytes(const void *law, int more) {
     const hystmpc_law *const l = law;
-    const int program = hystmpc_qp_bytes(l->moves, hystmpc_program_rows(l), hystmpc_program_slacks(l));
-    return program + (int)sizeof(double) * (law_reals(l) + more);
+    return hystmpc_qp_bytes(l->moves, hystmpc_program_rows(l), hystmpc_program_slacks(l)) +
+           (int)sizeof(double) * (law_reals(l) + more);
+}
+
+void hystmpc_step_room(const void *law, int *sizes) {
+    const hystmpc_law *const l = law;
+    sizes[0] = program_reals(l) + l->horizon * l->moves;
+    sizes[1] = whole_numbers(l->moves, hystmpc_program_slacks(l));
 }
 
 static double *place(hystmpc_qp *q, int unknowns, int rows, int slacks, int more, void *room) {
@@ -125,35 +137,20 @@ int hystmpc_quadratic_program(int unknowns, int rows, const double *hessian, con
     return answer;
 }
 
-/* In `out` the plan after the moves and its foreseen cost; `foreseen` is room for H angles. */
-static void step_after(const hystmpc_law *l, const hystmpc_task *t, const double *jacobian, const double *commands,
-                       const double *angles, const double *primal, double *foreseen, double *out) {
-    hystmpc_deviation(l, primal, out);
-    for (int k = 0; k < l->horizon; k++) out[k] = commands[k] + out[k];
-    hystmpc_clip_plan(l->horizon, l->lower, l->upper, l->reach, t->u_last, out);
-    hystmpc_foresee(l->horizon, commands, angles, jacobian, out, foreseen);
-    out[l->horizon] = hystmpc_plan_cost(l, t, out, foreseen);
-}
-
 int hystmpc_plan_step(const void *law, const void *task, const double *jacobian, const double *commands,
                       const double *angles, int changes, void *room, double *out) {
     const hystmpc_law *const l = law;
     const hystmpc_task t = hystmpc_task_of(l, task);
-    hystmpc_qp q;
-    double *const behind = hystmpc_place_program(l, room, &q);
-    if (l->blocked) hystmpc_block_columns(l, jacobian, behind);
-    hystmpc_build_program(&q, l, &t, commands, angles, l->blocked ? behind : jacobian);
-    if (!all_finite(q.gradient, l->moves) || !all_finite(q.hessian, l->moves * l->moves))
-        return all_finite(jacobian, l->horizon * l->horizon) ? HYSTMPC_NO_PROGRAM : HYSTMPC_NO_JACOBIAN;
-    const int answer = hystmpc_solve_qp(&q, changes);
-    if (answer >= 0) step_after(l, &t, jacobian, commands, angles, q.primal, behind, out);
-    return answer;
+    double *const numbers = room;
+    int *const whole = (int *)(void *)(numbers + program_reals(l) + law_reals(l));
+    return hystmpc_step_plan(l, &t, jacobian, commands, angles, changes, numbers, whole, out, out + l->horizon);
 }
 
-void hystmpc_after_moves(const void *law, const void *task, const double *jacobian, const double *commands,
-                         const double *angles, const double *primal, void *room, double *out) {
-    const hystmpc_task t = hystmpc_task_of(law, task);
-    step_after(law, &t, jacobian, commands, angles, primal, room, out);
+void hystmpc_plan_after(const void *law, const void *task, const double *jacobian, const double *commands,
+                        const double *angles, const double *primal, void *room, double *out) {
+    const hystmpc_law *const l = law;
+    const hystmpc_task t = hystmpc_task_of(l, task);
+    hystmpc_after_moves(l, &t, jacobian, commands, angles, primal, room, out, out + l->horizon);
 }
 
 void hystmpc_parts_of_step(const void *law, const double *commands, const double *plan, double u_last, double *parts) {

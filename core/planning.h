@@ -9,9 +9,6 @@
 #include "hystmpc_core.h"
 #include "law.h"
 
-/* What a planning step answers besides what qp.h says: no finite Jacobian, no finite program. */
-enum { HYSTMPC_NO_JACOBIAN = -5, HYSTMPC_NO_PROGRAM = -6 };
-
 hystmpc_task hystmpc_task_of(const hystmpc_law *l, const void *task);
 
 /* A program of this law in `room`; answers what is behind it, of H m + (m + 1) (m + H) numbers. */
@@ -21,6 +18,9 @@ double *hystmpc_place_program(const hystmpc_law *l, void *room, hystmpc_qp *q);
 HYSTMPC_API int hystmpc_law_size(void);
 HYSTMPC_API int hystmpc_law_bytes(const void *law, int more);
 HYSTMPC_API int hystmpc_qp_bytes(int unknowns, int rows, int slacks);
+
+/* Room of `hystmpc_step_plan` (2): numbers and whole numbers. */
+HYSTMPC_API void hystmpc_step_room(const void *law, int *sizes);
 
 /* A law of two tables, which stay where they are. whole: H, m, whether moves are blocked, whether angles have soft limits,
  * first samples of the blocks (m), last ones (m). numbers: least and greatest command, greatest change; weights of moves,
@@ -62,9 +62,9 @@ HYSTMPC_API int hystmpc_plan_step(const void *law, const void *task, const doubl
                                   const double *angles, int changes, void *room, double *out);
 
 /* The same of a solution z (m) that is known. */
-HYSTMPC_API void hystmpc_after_moves(const void *law, const void *task, const double *jacobian,
-                                     const double *commands, const double *angles, const double *primal, void *room,
-                                     double *out);
+HYSTMPC_API void hystmpc_plan_after(const void *law, const void *task, const double *jacobian,
+                                    const double *commands, const double *angles, const double *primal, void *room,
+                                    double *out);
 
 /* Parts of the way to another plan (3, H), admissible. */
 HYSTMPC_API void hystmpc_parts_of_step(const void *law, const double *commands, const double *plan, double u_last,

@@ -21,8 +21,6 @@ HYSTMPC_LOCAL int hystmpc_qp_reals(int unknowns, int rows, int slacks) {
     return unknowns * (unknowns + rows + 5) + 5 * rows + active * (active + unknowns + 5);
 }
 
-HYSTMPC_LOCAL int hystmpc_qp_whole(int unknowns, int slacks) { return 2 * unknowns + slacks; }
-
 HYSTMPC_LOCAL void hystmpc_place_qp(hystmpc_qp *q, int unknowns, int rows, int slacks, real *room, int *whole) {
     const int n = unknowns, active = unknowns + slacks;
     real **const of_row[] = {&q->soft, &q->lower, &q->upper, &q->at, &q->over};

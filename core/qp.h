@@ -34,9 +34,8 @@ typedef struct {
     int count;          /* active rows */
 } hystmpc_qp;
 
-/* Room for a program of n unknowns and m rows, `slacks` of them soft: this many real and whole numbers. */
+/* Room for a program of n unknowns and m rows, `slacks` of them soft: this many numbers, and 2 n + slacks whole ones. */
 HYSTMPC_LOCAL int hystmpc_qp_reals(int unknowns, int rows, int slacks);
-HYSTMPC_LOCAL int hystmpc_qp_whole(int unknowns, int slacks);
 
 /* An empty program, all of it zero, in that room. */
 HYSTMPC_LOCAL void hystmpc_place_qp(hystmpc_qp *q, int unknowns, int rows, int slacks, real *room, int *whole);

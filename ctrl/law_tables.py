@@ -124,3 +124,9 @@ class LawTables:
             memory = np.zeros(self._bytes, dtype=np.uint8)
             found = self._per_thread.room = memory, int(memory.ctypes.data)
         return found[1]
+
+    def step_room(self) -> tuple[int, int]:
+        """Numbers and whole numbers that one planning step needs, for an exported controller."""
+        sizes = np.empty(2, dtype=np.intc)
+        engine().step_room(self.address, sizes)
+        return int(sizes[0]), int(sizes[1])

@@ -124,17 +124,9 @@ typedef struct {
     hystmpc_real plans[HYSTMPC_CANDIDATES][HYSTMPC_HORIZON];
     hystmpc_real angles[HYSTMPC_CANDIDATES][HYSTMPC_HORIZON];
     hystmpc_real jacobian[HYSTMPC_HORIZON][HYSTMPC_HORIZON];
-    hystmpc_real columns[HYSTMPC_QP_MOVES][HYSTMPC_QP_ROWS]; /* of the program's rows, then in its metric */
-    hystmpc_real hessian[HYSTMPC_QP_MOVES][HYSTMPC_QP_MOVES];
-    hystmpc_real factor[HYSTMPC_QP_SIZE][HYSTMPC_QP_SIZE];   /* of the active rows */
-    hystmpc_real active[HYSTMPC_QP_SIZE][HYSTMPC_QP_MOVES];
-    hystmpc_real gradient[HYSTMPC_QP_MOVES];
-    hystmpc_real lower[HYSTMPC_QP_ROWS];
-    hystmpc_real upper[HYSTMPC_QP_ROWS];
-    hystmpc_real soft[HYSTMPC_QP_ROWS];       /* squared length that a row has by its own variable */
-    int first[HYSTMPC_QP_MOVES];              /* row of each column that is not zero */
+    hystmpc_real program[HYSTMPC_PROGRAM];    /* the quadratic program, or that of a drive */
+    int program_whole[HYSTMPC_PROGRAM_WHOLE];
     hystmpc_real by_move[HYSTMPC_HORIZON][HYSTMPC_HORIZON];
-    hystmpc_real normal[HYSTMPC_HORIZON][HYSTMPC_HORIZON];
     hystmpc_real moving[2][HYSTMPC_CHAIN + 9][HYSTMPC_HORIZON];
 #if HYSTMPC_UNITS
     float network_rows[HYSTMPC_NETWORK_ROWS][HYSTMPC_NETWORK_WIDTH]; /* command and outputs, a row a plan or derivative */

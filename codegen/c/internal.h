@@ -10,8 +10,11 @@
 #define HYSTMPC_SHARED
 #endif
 
-#include "real.h"
+#include "law.h"
 
+#if HYSTMPC_FRONT || HYSTMPC_BACK
+#include "moves.h"
+#endif
 #if HYSTMPC_SENSES
 #include "estimator.h"
 #endif
@@ -26,17 +29,9 @@
 #define HYSTMPC_AT_A_LINE
 #endif
 
-#define INFINITE ((real)INFINITY)
-
 enum { H = HYSTMPC_HORIZON, S = HYSTMPC_STATES };
 
 HYSTMPC_LOCAL real root(real x);
-HYSTMPC_LOCAL int all_finite(const real *x, int count);
-HYSTMPC_LOCAL void copy(const real *from, real *to, int count);
-HYSTMPC_LOCAL void fill(real *to, real value, int count);
-HYSTMPC_LOCAL int factorise(real *p, int width, int count);
-HYSTMPC_LOCAL void solve_upper(const real *g, int width, int count, real *x);
-HYSTMPC_LOCAL void solve_lower(const real *g, int width, int count, real *x);
 
 /* model.c: one step of a model, its tangent, and loops around them. */
 typedef struct {
@@ -60,6 +55,7 @@ extern const model hystmpc_back; /* dynamics of the angle */
 extern const float hystmpc_weights[], hystmpc_head[];
 #endif
 /* tables.c */
+extern const hystmpc_law hystmpc_weighs;
 #if HYSTMPC_SENSES
 extern const hystmpc_noise hystmpc_noises;
 #endif
@@ -93,7 +89,6 @@ HYSTMPC_LOCAL real network_step(real *state, real u);
 #if HYSTMPC_FRONT || HYSTMPC_BACK
 HYSTMPC_LOCAL void fit_drive(hystmpc_work *w, const model *m, const real *x, const real *wanted, real u_last,
                              real reach, real *inputs);
-HYSTMPC_LOCAL int first_acting(const hystmpc_work *w);
 #endif
 
 /* state.c: the model with what is learned on top of it. */
@@ -108,16 +103,10 @@ HYSTMPC_LOCAL void state_follow(hystmpc_work *w, const hystmpc_state *s, const r
 HYSTMPC_LOCAL void state_advance(hystmpc_state *s, real u);
 #endif
 
-/* qp.c */
-HYSTMPC_LOCAL int solve_program(hystmpc_work *w, real *primal);
-
 /* planner.c */
 typedef struct {
     const hystmpc_state *state;
-    const real *reference;   /* wanted angles of the model, H */
-    const real *feedforward; /* from which effort is measured, H */
-    real u_last;
-    real low, high; /* soft limits of the angle */
+    hystmpc_task task;
 } problem;
 
 typedef struct {
@@ -126,13 +115,13 @@ typedef struct {
     real cost;
 } plan;
 
+/* To the nearest admissible plan, in place. */
 HYSTMPC_LOCAL void clip_plan(real *commands, real last);
-HYSTMPC_LOCAL real plan_cost(const problem *p, const real *commands, const real *angles);
+/* The plan's cost; one that is cheaper takes the place of `found`. */
+HYSTMPC_LOCAL real try_plan(const problem *p, const real *commands, const real *angles, plan *found);
 HYSTMPC_LOCAL int improve(hystmpc_work *w, const problem *p, plan *best);
-HYSTMPC_LOCAL void build_program(hystmpc_work *w, const problem *p, const plan *around);
-HYSTMPC_LOCAL void deviation(const real *primal, real *commands);
 
-/* law.c: what a law is given, and what it proposes. */
+/* predictive.c: what a law is given, and what it proposes. */
 typedef struct {
     hystmpc_state state;
     real reference[HYSTMPC_HORIZON];

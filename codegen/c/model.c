@@ -2,52 +2,8 @@
  * The steps themselves are in the file of the problem, which the export writes from the operators' equations. */
 #include "internal.h"
 
-HYSTMPC_LOCAL int all_finite(const real *x, int count) {
-    int found = 1;
-    for (int i = 0; i < count; i++) found &= is_finite(x[i]);
-    return found;
-}
-
 HYSTMPC_LOCAL real root(real x) {
     return MATH(sqrt)(x);
-}
-
-HYSTMPC_LOCAL void copy(const real *from, real *to, int count) {
-    for (int i = 0; i < count; i++) to[i] = from[i];
-}
-
-HYSTMPC_LOCAL void fill(real *to, real value, int count) {
-    for (int i = 0; i < count; i++) to[i] = value;
-}
-
-/* P = G'G in place, G lower triangular and its diagonal stored as its inverse; 0 where P is not positive definite. Of P,
- * whose rows are `width` numbers apart, the lower triangle is read. All inner loops run along rows. */
-HYSTMPC_LOCAL int factorise(real *p, int width, int count) {
-    for (int j = count - 1; j >= 0; j--) {
-        real *row = p + j * width;
-        if (!(row[j] > R(0.0))) return 0;
-        row[j] = R(1.0) / root(row[j]);
-        for (int k = 0; k < j; k++) row[k] *= row[j];
-        for (int i = 0; i < j; i++)
-            for (int k = 0; k <= i; k++) p[i * width + k] -= row[i] * row[k];
-    }
-    return 1;
-}
-
-/* x <- G'^-1 x. */
-HYSTMPC_LOCAL void solve_upper(const real *g, int width, int count, real *x) {
-    for (int j = count - 1; j >= 0; j--) {
-        x[j] *= g[j * width + j];
-        for (int k = 0; k < j; k++) x[k] -= g[j * width + k] * x[j];
-    }
-}
-
-/* x <- G^-1 x. */
-HYSTMPC_LOCAL void solve_lower(const real *g, int width, int count, real *x) {
-    for (int k = 0; k < count; k++) {
-        x[k] *= g[k * width + k];
-        for (int i = k + 1; i < count; i++) x[i] -= g[i * width + k] * x[k];
-    }
 }
 
 #if HYSTMPC_FRONT || !HYSTMPC_UNITS
@@ -153,97 +109,13 @@ HYSTMPC_LOCAL real middle_command(const real *x, real wanted, real last) { retur
 
 #if HYSTMPC_FRONT || HYSTMPC_BACK
 
-/* The first sample that an input changes: rows of the Jacobian before it are zero. */
-HYSTMPC_LOCAL int first_acting(const hystmpc_work *w) {
-    real greatest = R(0.0);
-    for (int k = 0; k < H; k++)
-        for (int j = 0; j < H; j++) greatest = most(greatest, absolute(w->jacobian[k][j]));
-    for (int k = 0; k < H; k++)
-        for (int j = 0; j <= k; j++)
-            if (absolute(w->jacobian[k][j]) > R(1e-6) * greatest) return k;
-    return H;
-}
-
-/* The minimum with the moves of a side (-1, 1) at that bound and the others free, by Cholesky's factors of the latter. */
-static void free_optimum(hystmpc_work *w, const real *linear, const int *side, real reach, real *wanted) {
-    real *g = w->jacobian[0], x[HYSTMPC_HORIZON];
-    int free[HYSTMPC_HORIZON], count = 0;
-    copy(linear, wanted, H);
-    for (int k = 0; k < H; k++) {
-        if (!side[k]) free[count++] = k;
-        else
-            for (int i = 0; i < H; i++) wanted[i] -= w->normal[k][i] * ((real)side[k] * reach);
-    }
-    for (int a = 0; a < count; a++) {
-        x[a] = wanted[free[a]];
-        for (int b = 0; b <= a; b++) g[a * H + b] = w->normal[free[a]][free[b]];
-    }
-    (void)factorise(g, H, count); /* positive definite */
-    solve_upper(g, H, count, x);
-    solve_lower(g, H, count, x);
-    for (int k = 0; k < H; k++) wanted[k] = (real)side[k] * reach;
-    for (int a = 0; a < count; a++) wanted[free[a]] = x[a];
-}
-
-/* Share of the way from `moves` to `wanted` where the first free move meets a bound, and which; -1: none. */
-static int first_bound(const real *moves, const real *wanted, const int *side, real reach, real *share) {
-    int hit = -1;
-    *share = R(1.0);
-    for (int k = 0; k < H; k++) {
-        if (side[k] || !(absolute(wanted[k]) > reach)) continue;
-        const real bound = wanted[k] > R(0.0) ? reach : -reach;
-        const real part = (bound - moves[k]) / (wanted[k] - moves[k]);
-        if (hit < 0 || part < *share) {
-            *share = part;
-            hit = k;
-        }
-    }
-    return hit;
-}
-
-/* The held move whose multiplier is the most below `lowest`; -1 where none is. */
-static int wrong_side(const hystmpc_work *w, const real *linear, const int *side, const real *moves, real lowest) {
-    int worst = -1;
-    for (int k = 0; k < H; k++) {
-        if (!side[k]) continue;
-        real pull = linear[k];
-        for (int i = 0; i < H; i++) pull -= w->normal[k][i] * moves[i];
-        if ((real)side[k] * pull < lowest) {
-            worst = k;
-            lowest = (real)side[k] * pull;
-        }
-    }
-    return worst;
-}
-
-/* argmin over |m_k| <= reach of 1/2 m'P m - q'm in place, P = `normal` positive definite: an active-set method for
- * bounds (Stark and Parker, Computational Statistics 10, 1995). The Jacobian's place serves for factors. */
-static void lead_moves(hystmpc_work *w, const real *linear, real reach, real *moves) {
-    int side[HYSTMPC_HORIZON] = {0};
-    real wanted[HYSTMPC_HORIZON], greatest = R(0.0), share;
-    for (int k = 0; k < H; k++) greatest = most(greatest, absolute(linear[k]));
-    for (int round = 0; round < 4 * H; round++) {
-        free_optimum(w, linear, side, reach, wanted);
-        const int hit = first_bound(moves, wanted, side, reach, &share);
-        for (int k = 0; k < H; k++) moves[k] = clamp(moves[k] + share * (wanted[k] - moves[k]), -reach, reach);
-        if (hit >= 0) {
-            side[hit] = wanted[hit] > R(0.0) ? 1 : -1;
-            moves[hit] = (real)side[hit] * reach;
-            continue;
-        }
-        const int worst = wrong_side(w, linear, side, moves, -HYSTMPC_SIGN * greatest);
-        if (worst < 0) return;
-        side[worst] = 0;
-    }
-}
-
 /* Inputs of a drive whose outputs come closest to `wanted`, within `reach` a sample:
  *     min_m  sum_k (v_k(u) - w_k)^2 + 1e-3 sum_k m_k^2   s.t.  |m_k| <= reach,  u_k = u_{k-1} + m_k
  * exact for linear dynamics, by Gauss-Newton steps for others. */
 HYSTMPC_LOCAL void fit_drive(hystmpc_work *w, const model *m, const real *x, const real *wanted, real u_last,
                              real reach, real *inputs) {
     real moves[HYSTMPC_HORIZON] = {R(0.0)}, found[HYSTMPC_HORIZON], outputs[HYSTMPC_HORIZON];
-    real promised[HYSTMPC_HORIZON], linear[HYSTMPC_HORIZON];
+    real promised[HYSTMPC_HORIZON], off[HYSTMPC_HORIZON];
     fill(inputs, u_last, H);
     linearise_plan(w, m, x, inputs, outputs);
     for (int round = 0; round < 3; round++) {
@@ -254,22 +126,9 @@ HYSTMPC_LOCAL void fit_drive(hystmpc_work *w, const model *m, const real *x, con
                 w->by_move[k][j] = sum;
             }
         }
-        fill(linear, R(0.0), H);
-        for (int i = 0; i < H; i++) fill(w->normal[i], R(0.0), H);
-        for (int k = 0; k < H; k++) {
-            const real *by = w->by_move[k];
-            for (int i = 0; i <= k; i++) {
-                linear[i] += by[i] * (wanted[k] - outputs[k]);
-                for (int j = 0; j <= i; j++) w->normal[i][j] += by[i] * by[j];
-            }
-        }
-        for (int i = 0; i < H; i++)
-            for (int j = 0; j < i; j++) w->normal[j][i] = w->normal[i][j];
-        for (int i = 0; i < H; i++)
-            for (int j = 0; j < H; j++) linear[i] += w->normal[i][j] * moves[j];
-        for (int i = 0; i < H; i++) w->normal[i][i] += R(1e-3);
+        for (int k = 0; k < H; k++) off[k] = wanted[k] - outputs[k];
         copy(moves, found, H);
-        lead_moves(w, linear, least(reach, R(1e9)), found);
+        hystmpc_bounded_moves(w->by_move[0], off, H, least(reach, R(1e9)), R(1e-3), found, w->program);
         real u = u_last;
         for (int k = 0; k < H; k++) {
             promised[k] = outputs[k];
@@ -280,14 +139,14 @@ HYSTMPC_LOCAL void fit_drive(hystmpc_work *w, const model *m, const real *x, con
             u += moves[k];
             inputs[k] = u;
         }
-        real before[HYSTMPC_HORIZON], off = R(0.0), changed = R(1.0);
+        real before[HYSTMPC_HORIZON], missed = R(0.0), changed = R(1.0);
         copy(outputs, before, H);
         linearise_plan(w, m, x, inputs, outputs);
         for (int k = 0; k < H; k++) {
-            off = most(off, absolute(outputs[k] - promised[k]));
+            missed = most(missed, absolute(outputs[k] - promised[k]));
             changed = most(changed, absolute(outputs[k] - before[k]));
         }
-        if (off <= HYSTMPC_LINEAR * changed) break;
+        if (missed <= HYSTMPC_LINEAR * changed) break;
     }
 }
 

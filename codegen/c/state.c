@@ -84,7 +84,7 @@ static void follow(hystmpc_work *w, const real *x, const real *wanted, real u_la
     real held[HYSTMPC_HORIZON];
     fill(held, u_last, H);
     linearise_plan(w, &hystmpc_front, x, held, travel);
-    first = first_acting(w);
+    first = hystmpc_first_acting(w->jacobian[0], H);
     for (int k = 0; k < first; k++) {
         middle_step(middle, travel[k]);
         last = travel[k];

@@ -1,6 +1,38 @@
 /* The problem's numbers as the engine's functions take them. */
 #include "internal.h"
 
+static const real tracking[HYSTMPC_HORIZON] = HYSTMPC_TRACKING;
+#if HYSTMPC_BLOCKS
+static const int block_starts[HYSTMPC_BLOCKS] = HYSTMPC_BLOCK_STARTS;
+static const int block_ends[HYSTMPC_BLOCKS] = HYSTMPC_BLOCK_ENDS;
+static const real blocking[HYSTMPC_HORIZON * HYSTMPC_BLOCKS] = HYSTMPC_BLOCKING;
+static const real block_constant[HYSTMPC_BLOCKS * HYSTMPC_BLOCKS] = HYSTMPC_BLOCK_CONSTANT;
+#endif
+
+HYSTMPC_SHARED const hystmpc_law hystmpc_weighs = {HYSTMPC_HORIZON,
+                                                   HYSTMPC_BLOCKS ? HYSTMPC_BLOCKS : HYSTMPC_HORIZON,
+                                                   HYSTMPC_BLOCKS > 0,
+                                                   HYSTMPC_SOFT,
+                                                   HYSTMPC_LOWER,
+                                                   HYSTMPC_UPPER,
+                                                   HYSTMPC_REACH,
+                                                   HYSTMPC_RATE_WEIGHT,
+                                                   HYSTMPC_EFFORT_WEIGHT,
+                                                   HYSTMPC_SOFT_WEIGHT,
+                                                   tracking,
+#if HYSTMPC_BLOCKS
+                                                   block_starts,
+                                                   block_ends,
+                                                   blocking,
+                                                   block_constant
+#else
+                                                   0,
+                                                   0,
+                                                   0,
+                                                   0
+#endif
+};
+
 #if HYSTMPC_SENSES
 
 static const real sensor_variances[HYSTMPC_SENSORS] = HYSTMPC_SENSOR_VARIANCES;

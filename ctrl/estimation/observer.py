@@ -17,6 +17,7 @@ from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Vec
 
 from ..command import EMPTY, number_of, replace
+from .noise import NoiseBank
 
 ANGLE_BOUND_DEG = 1e4  # far beyond any joint; keeps squares and sums of angles finite
 
@@ -213,8 +214,6 @@ class OutputEstimator(Observer):
     """
 
     def __init__(self, predictor: Predictor, settings: EstimatorSettings) -> None:
-        from .noise import NoiseBank  # numba takes a second to import, which settings alone need not wait for
-
         self._predictor = predictor
         self._settings = settings
         self._frames = settings.sensor == "intermittent"

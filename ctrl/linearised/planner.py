@@ -47,7 +47,7 @@ class PlanProgram:
         # of each sample the command, then the angle; a move before the first command of its block, or else behind it
         self._moves = starts * (1 + tables.soft) + np.arange(tables.moves) + (blocking is None)
         self._touching = 1e-6 * tables.bounds.reach * lengths
-        self._step, self._after, self._program = engine().plan_step, engine().after_moves, engine().program
+        self._step, self._after, self._program = engine().plan_step, engine().plan_after, engine().program
         rest, columns = np.zeros(horizon), self._columns(np.tril(np.ones((horizon, horizon))))
         free = self._around(PlanningProblem(rest, 0.0, rest, rest, (0.0, 0.0)), rest, rest, columns)
         self.pattern = QpPattern(free.columns != 0.0, free.soft > 0.0)

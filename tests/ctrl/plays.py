@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from hystmpc.ctrl.learning.bank import FILTERS, BankState
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.model import Inverse, Predictor
@@ -265,3 +266,11 @@ DRIVEN = Case(
     "PI behind delay and lag", 22.0, 0.0, lambda: compiled(Chain(PI, (Delay(2 * DT, 2), operators.Lag(0.12))))
 )
 BROKEN = [case.broken(fault) for case in (PLAY, LINEAR) for fault in (raising, not_a_number)]
+
+
+def with_entries(state: BankState, **entries: object) -> BankState:
+    """A bank with some entries of its filters replaced."""
+    filters = state.filters.copy()
+    for name, value in entries.items():
+        filters.view(FILTERS)[name] = value
+    return replace(state, filters=filters)

@@ -2,25 +2,38 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from hystmpc.core.library import engine
 from hystmpc.ctrl.build import build_controller, learning_pair
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.config import CONTROLLERS
 from hystmpc.ctrl.estimation.observer import Estimate, EstimatorSettings
-from hystmpc.ctrl.learning.bank import DELAYS, DRIVES, FEATURES, LAGS_S, BankState, FilterBank, features, first_memory
+from hystmpc.ctrl.learning.bank import (
+    DELAYS,
+    DRIVES,
+    FEATURES,
+    FILTERS,
+    LAGS_S,
+    LEARNED_SIZE,
+    OF_WEIGHTS,
+    BankState,
+    Basis,
+    FilterBank,
+    Learner,
+)
 from hystmpc.ctrl.learning.predictor import LearnedInverse, LearnedPredictor, Learning, LearningEstimator
 from hystmpc.ctrl.mpc_settings import AdaptationSettings
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
-from .plays import DT, SOUND, Backlash
+from .plays import DT, SOUND, Backlash, with_entries
 
 LIMITS = CommandLimits(0.0, 6.0, 10.0)
 OPTIONS = EstimatorSettings()
@@ -31,6 +44,15 @@ def learned() -> LearnedPredictor:
     return LearnedPredictor(Backlash(), AdaptationSettings())
 
 
+def full(covariance: Vec) -> Vec:
+    """Covariance matrix (K, K) of each drive, from the lower triangles that the bank holds."""
+    size = FEATURES + 2
+    both = np.zeros((DRIVES, size, size))
+    rows, columns = np.tril_indices(size)
+    both[:, rows, columns] = both[:, columns, rows] = np.moveaxis(covariance, 1, 2).reshape(DRIVES, -1)
+    return both
+
+
 def moved(predictor: LearnedPredictor, weights: Vec, lag: int, delay: int, seed: int = 0) -> Vec:
     """A state with a past, under some weights and a drive."""
     bank = predictor.filters(0)
@@ -38,9 +60,10 @@ def moved(predictor: LearnedPredictor, weights: Vec, lag: int, delay: int, seed:
     for u in 1.0 + np.cumsum(np.random.default_rng(seed).normal(0.0, 0.15, 40)):
         _, model = Backlash().advance(model, float(np.clip(u, 0.0, 6.0)))
         state = bank.advance(state, float(np.clip(u, 0.0, 6.0)))
-    z, best = state.z.copy(), lag * DELAYS + delay
-    z[best, 1:] = weights
-    return predictor.with_learned(model, replace(state, z=z, best=best, share=1.0))
+    z = state.z.copy()
+    z[delay, 1:, lag] = weights
+    state = with_entries(state, z=z, best=lag * DELAYS + delay, share=1.0)
+    return np.concatenate([model, bank.acting(state, (0.0,))[1]])
 
 
 def plans(count: int, horizon: int, seed: int = 3) -> Vec:
@@ -65,11 +88,19 @@ def test_without_weights_it_is_the_model(drive: tuple[int, int], seed: int) -> N
     np.testing.assert_allclose(predictor.linearise(state, trial[0])[1], Backlash().linearise(below, trial[0])[1])
 
 
-@given(st.floats(0.0, 1.0), st.sampled_from([-1.0, 1.0]))
-def test_at_rest_at_the_start_all_features_are_zero(v: float, side: float) -> None:
-    out = np.ones(FEATURES)
-    features(first_memory(v, side), v, v, side, 1.0 / DT, out)
-    np.testing.assert_allclose(out, 0.0, atol=1e-12)
+def test_python_and_c_lay_out_the_same_numbers() -> None:
+    sizes = np.zeros(4, np.intc)
+    engine().learning_bytes(sizes)
+    assert sizes.tolist() == [ctypes.sizeof(Basis), ctypes.sizeof(Learner), FILTERS.itemsize, 8 * LEARNED_SIZE]
+
+
+@given(st.floats(0.0, 6.0), st.integers(0, 100))
+def test_at_rest_at_the_start_all_features_are_zero(u: float, seed: int) -> None:
+    """Also where the device has come from above, at more than half of the range."""
+    predictor = learned()
+    rest = predictor.initial(30.0, u)
+    rest[rest.size - LEARNED_SIZE :][OF_WEIGHTS] = [0.0, *some_weights(seed)[1:]]
+    np.testing.assert_allclose(predictor.learned(rest, np.full((1, 8), u)), 0.0, atol=1e-11)
 
 
 @given(drives, st.integers(0, 100))
@@ -225,10 +256,10 @@ def test_where_the_model_is_right_nothing_acts() -> None:
 def test_in_a_hold_no_weight_is_forgotten() -> None:
     bank = FilterBank(DT, (0.0, 6.0), 62.0, 0.1, 0, AdaptationSettings())
     state = bank.init(30.0, 1.0, 30.0)
-    before = state.covariance[:, 1:, 1:]
+    before = full(state.covariance)[:, 1:, 1:]
     for _ in range(200):
         state = bank.correct(bank.advance(state, 1.0), 30.0, 30.0, 0.0)
-    assert np.all(state.covariance[:, 1:, 1:] <= before + 1e-9)
+    assert np.all(full(state.covariance)[:, 1:, 1:] <= before + 1e-9)
     assert np.max(np.abs(state.z[:, 1:])) < 1e-9
 
 
@@ -261,7 +292,7 @@ def test_a_jump_in_a_hold_is_an_offset_and_no_weight() -> None:
     before = state
     for _ in range(20):
         state = bank.correct(bank.advance(state, 2.0), 48.0, angle, 0.0)
-    moved = float(state.z[state.best, 0] - before.z[before.best, 0])
+    moved = float((state.z - before.z)[state.delay, 0, state.best // DELAYS])
     assert moved == pytest.approx(8.0, abs=0.5)
     assert np.max(np.abs(state.weights - before.weights)) < 0.5
 
@@ -270,7 +301,7 @@ def test_a_hold_is_not_judged() -> None:
     """Where nothing moves every forecast is good: share, drive, scores and forecast_error stay as they are."""
     bank = FilterBank(DT, (0.0, 6.0), 62.0, 0.1, 0, AdaptationSettings())
     state = flexed(bank)
-    before = state = replace(state, sums=np.zeros(DRIVES + 2), count=0, references=(0.0, 40.0))
+    before = state = with_entries(state, sums=0.0, count=0, references=(0.0, 40.0))
     for _ in range(100):
         state = bank.correct(bank.advance(state, 2.0), 40.0, 45.0, 0.0)
     assert (state.share, state.best, state.forecast_error, state.blocks) == (
@@ -300,7 +331,7 @@ def test_any_measurements_leave_everything_finite(seen: list[tuple[float, float]
         estimate = estimator.advance(estimator.correct(estimate, y), u)
         assert isinstance(estimate.learning, Learning)
         assert np.isfinite(estimate.learning.bank.z).all()
-        assert np.all(np.diagonal(estimate.learning.bank.covariance, axis1=1, axis2=2) > 0)
+        assert np.all(np.diagonal(full(estimate.learning.bank.covariance), axis1=1, axis2=2) > 0)
         assert 0.0 <= estimate.learning.bank.share <= 1.0
         assert 0.0 <= estimate.forecast_error <= 1.2
         assert math.isfinite(estimate.departure)
@@ -319,7 +350,7 @@ def test_any_model_leaves_everything_finite(seen: list[tuple[float, float, float
     for y, angle, u in seen:
         state = bank.correct(bank.advance(state, u), y, angle, 0.0)
         assert np.isfinite(state.z).all()
-        assert np.all(np.diagonal(state.covariance, axis1=1, axis2=2) > 0)
+        assert np.all(np.diagonal(full(state.covariance), axis1=1, axis2=2) > 0)
         assert np.isfinite(state.scores).all()
         assert 0.0 <= state.share <= 1.0
         assert 0.0 <= state.forecast_error <= 1.2
@@ -335,8 +366,8 @@ def test_covariances_stay_sound_over_a_long_run() -> None:
         u = 3.0 + 2.9 * math.sin(0.02 * k * (1.0 + 0.3 * math.sin(1e-3 * k)))
         angle, below = model.advance(below, u)
         state = bank.correct(bank.advance(state, u), 1.1 * angle + 0.02 * random.standard_normal(), angle, 0.0)
-    least = min(float(np.linalg.eigvalsh(p)[0]) for p in state.covariance)
-    most = max(float(np.linalg.eigvalsh(p)[-1]) for p in state.covariance)
+    least = min(float(np.linalg.eigvalsh(p)[0]) for p in full(state.covariance))
+    most = max(float(np.linalg.eigvalsh(p)[-1]) for p in full(state.covariance))
     assert least > -1e-9 * most
 
 

@@ -18,7 +18,7 @@ from hystmpc.ctrl.guarded import GuardedController, GuardedState
 from hystmpc.ctrl.learning.predictor import Learning
 from hystmpc.trials.errors import ConfigError
 
-from .plays import DT, SOUND, Backlash
+from .plays import DT, SOUND, Backlash, with_entries
 
 LIMITS = CommandLimits(0.0, 6.0, 10.0)
 GAINS = {"kp_per_deg": 0.02, "ki_per_deg_s": 0.15}
@@ -34,7 +34,7 @@ def with_forecast_error(state: GuardedState[Any], forecast_error: float) -> Guar
     """The state of a controller whose forecasts have been so bad."""
     learning = state.estimate.learning
     assert isinstance(learning, Learning)
-    learning = replace(learning, bank=replace(learning.bank, forecast_error=forecast_error))
+    learning = replace(learning, bank=with_entries(learning.bank, forecast_error=forecast_error))
     return replace(state, estimate=replace(state.estimate, learning=learning, forecast_error=forecast_error))
 
 

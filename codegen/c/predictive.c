@@ -1,56 +1,11 @@
 /* The predictive law: candidate plans, the hold at a constant reference, the best plan improved. */
 #include "internal.h"
 
-enum { HELD = 0, INVERTED = 1, FOLLOWING = 5 };
-
-static const real shares[8] = {R(0.125), R(0.1875), R(0.25), R(0.375), R(0.5), R(0.625), R(0.75), R(1.0)};
-
-/* Limited in rate backwards in time: every move of the plan starts early enough to arrive. */
-static void run_ahead(real *commands) {
-    for (int k = H - 2; k >= 0; k--)
-        commands[k] = clamp(commands[k], commands[k + 1] - HYSTMPC_REACH, commands[k + 1] + HYSTMPC_REACH);
-}
-
-/* The first jump of the plan later by half of the samples that it takes at the greatest rate. */
-static void postpone_half(real *commands, real u_last) {
-    real before = u_last;
-    for (int k = 0; k < H; k++) {
-        const real jump = absolute(commands[k] - before);
-        if (jump > HYSTMPC_REACH * (R(1.0) + HYSTMPC_ROUNDING)) {
-            int samples = 0;
-            while (samples < 2 * H && (real)samples < jump / HYSTMPC_REACH - HYSTMPC_ROUNDING) samples++; /* rounded up */
-            for (int j = k; j < k + samples / 2 && j < H; j++) commands[j] = before;
-            return;
-        }
-        before = commands[k];
-    }
-}
-
-/* Admissible plans: hold; inverse; inverse ahead of time; half ahead; the last plan; reversals of 2, 4, ... samples at
- * the greatest rate; and where the reference rests small steps. How many there are. */
+/* Admissible plans to begin with; how many there are. */
 static int build_candidates(hystmpc_controller *c, const given *g, const real *wanted, int resting) {
-    real(*plans)[HYSTMPC_HORIZON] = c->work.plans;
-    int count = FOLLOWING;
-    fill(plans[HELD], g->u_last, H);
-    state_follow(&c->work, &g->state, wanted, g->u_last, plans[2], plans[INVERTED]);
-    copy(plans[2], plans[3], H);
-    for (int k = 0; k < H; k++)
-        plans[4][k] = c->planned ? c->plan[k < c->planned ? k : c->planned - 1] : plans[INVERTED][k];
-    postpone_half(plans[3], g->u_last);
-    run_ahead(plans[2]);
-    run_ahead(plans[3]);
-    for (int sign = 1; sign >= -1; sign -= 2) {
-        for (int length = 2; length <= (H / 2 > 2 ? H / 2 : 2); length *= 2, count++)
-            for (int k = 0; k < H; k++)
-                plans[count][k] = g->u_last + (real)sign * (HYSTMPC_REACH * (real)(k + 1 < length ? k + 1 : length));
-    }
-    if (resting) {
-        for (int sign = 1; sign >= -1; sign -= 2)
-            for (int i = 0; i < 8; i++, count++)
-                fill(plans[count], g->u_last + (real)sign * (HYSTMPC_REACH * shares[i]), H);
-    }
-    for (int n = 0; n < count; n++) clip_plan(plans[n], g->u_last);
-    return count;
+    real(*plans)[HYSTMPC_HORIZON] = c->work.plans, boxed[HYSTMPC_HORIZON];
+    state_follow(&c->work, &g->state, wanted, g->u_last, boxed, plans[HYSTMPC_INVERTED]);
+    return hystmpc_candidates(&hystmpc_weighs, boxed, c->plan, c->planned, g->u_last, resting, plans[0]);
 }
 
 static real farthest(const real *angles, int count, real shift, real target) {
@@ -99,13 +54,12 @@ HYSTMPC_LOCAL void init_predictive(hystmpc_controller *c) {
 
 /* Cheapest of the candidates from `first` to `last`, if it is cheaper than the best so far. */
 static void cheapest(hystmpc_controller *c, const problem *p, int first, int last, plan *best) {
-    for (int n = first; n < last; n++) {
-        const real cost = plan_cost(p, c->work.plans[n], c->work.angles[n]);
-        if (n > 0 && !(cost < best->cost)) continue;
-        copy(c->work.plans[n], best->commands, H);
-        copy(c->work.angles[n], best->angles, H);
-        best->cost = cost;
+    if (first == 0) {
+        copy(c->work.plans[0], best->commands, H);
+        copy(c->work.angles[0], best->angles, H);
+        best->cost = INFINITE;
     }
+    for (int n = first; n < last; n++) (void)try_plan(p, c->work.plans[n], c->work.angles[n], best);
 }
 
 /* The wanted command and the plan behind it. What is remembered changes only where there is a proposal. */
@@ -114,16 +68,12 @@ HYSTMPC_LOCAL void propose_predictive(hystmpc_controller *c, const given *g, pro
     const int resting = c->constant > 0, holding = c->holding, constant = c->constant;
     const real hold_target = c->hold_target;
     for (int k = 0; k < H; k++) wanted[k] = g->reference[k] - g->disturbance;
-    const int count = build_candidates(c, g, wanted, resting), first = resting ? FOLLOWING : count;
-    problem p;
-    p.state = &g->state;
-    p.reference = wanted;
-    p.feedforward = c->work.plans[INVERTED];
-    p.u_last = g->u_last;
-    p.low = HYSTMPC_ANGLE_LOW - g->disturbance;
-    p.high = HYSTMPC_ANGLE_HIGH - g->disturbance;
+    const int count = build_candidates(c, g, wanted, resting), first = resting ? HYSTMPC_FOLLOWING : count;
+    const problem p = {&g->state,
+                       {wanted, c->work.plans[HYSTMPC_INVERTED], g->u_last, HYSTMPC_ANGLE_LOW - g->disturbance,
+                        HYSTMPC_ANGLE_HIGH - g->disturbance}};
     state_run_plans(&c->work, &g->state, c->work.plans, first, c->work.angles);
-    judge_hold(c, g, c->work.angles[HELD]);
+    judge_hold(c, g, c->work.angles[HYSTMPC_HELD]);
     plan best;
     cheapest(c, &p, 0, c->holding ? 1 : first, &best);
     if (!c->holding) {
@@ -132,7 +82,7 @@ HYSTMPC_LOCAL void propose_predictive(hystmpc_controller *c, const given *g, pro
     }
     out->status = is_finite(best.cost) ? HYSTMPC_OK : HYSTMPC_NO_PLAN;
     if (out->status == HYSTMPC_OK && !c->holding) {
-        const real error = farthest(c->work.angles[HELD], H, g->disturbance, c->hold_target);
+        const real error = farthest(c->work.angles[HYSTMPC_HELD], H, g->disturbance, c->hold_target);
         out->status = improve(&c->work, &p, &best);
         if (out->status == HYSTMPC_OK && limit_correction(c, best.commands, g->u_last, error))
             state_run(&g->state, best.commands, best.angles);
