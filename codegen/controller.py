@@ -164,6 +164,7 @@ def _engine_files(sizes: Mapping[str, int]) -> Mapping[str, str]:
     names = ["real.h", *(name for size, needed in _ENGINE.items() if sizes[size] for name in needed)]
     folder = resources.files("hystmpc.core")
     texts = {name: folder.joinpath(name).read_text(encoding="utf-8") for name in names}
+    # The header of an exported controller says 0 or 1.
     return {name: text.replace("#ifdef HYSTMPC_SINGLE", "#if HYSTMPC_SINGLE") for name, text in texts.items()}
 
 
