@@ -129,11 +129,13 @@ double hystmpc_play_kernel_command(const double *model, int plays, int segments,
 
 void hystmpc_follow_plays(const double *command, int samples, double gain, const double *radii, int plays, double *now,
                           double *states) {
+    const double *before = now;
     for (int k = 0; k < samples; k++) {
-        double *row = states + (long)k * (plays + 1);
-        const double u = command[k], v = gain == 1.0 ? u : now[0] + gain * (u - now[0]);
-        row[0] = now[0] = v;
-        for (int i = 0; i < plays; i++)
-            row[i + 1] = now[i + 1] = most(v - radii[i], least(v + radii[i], now[i + 1]));
+        double *restrict row = states + (long)k * (plays + 1);
+        const double u = command[k], v = gain == 1.0 ? u : before[0] + gain * (u - before[0]);
+        row[0] = v;
+        for (int i = 0; i < plays; i++) row[i + 1] = most(v - radii[i], least(v + radii[i], before[i + 1]));
+        before = row;
     }
+    if (samples > 0) copy(now, before, plays + 1);
 }
