@@ -14,5 +14,5 @@ FOLDER = Path(__file__).resolve().parent / "c"
 
 @cache
 def laboratory() -> Any:
-    """Functions of the laboratory by their names without `hystmpc_`; errors as those of `hystmpc.core.library.engine`."""
+    """Functions of the laboratory by their names without `hystmpc_`; errors as those of `core.library.engine`."""
     return compiled(FOLDER)

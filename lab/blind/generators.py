@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from scipy.signal import fftconvolve
@@ -18,7 +18,6 @@ from hystmpc.trials.types import Vec
 
 from ..devices.cores import FINE_S, PARTS, TRAVEL_MM, Scene, rise
 from ..library import laboratory
-
 
 Shape = Mapping[str, float]
 Site = Literal["drive", "friction", "tip", "sensor"]

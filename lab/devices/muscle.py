@@ -102,6 +102,7 @@ class MuscleCatheter:
 
     def __init__(self, parameters: MuscleParameters | None = None) -> None:
         self.parameters = parameters or MuscleParameters()
+        self._packed = (0.0, np.empty(0))  # the last step, and the numbers for it
 
     @property
     def commands(self) -> tuple[float, float]:
@@ -124,8 +125,9 @@ class MuscleCatheter:
         clipped = np.clip(np.asarray(commands, dtype=np.float64), *self.commands)
         angle, drive = np.empty(clipped.size), np.empty(clipped.size)
         parts = max(math.ceil(dt_s / _STEP_S - 1e-9), 1)
-        numbers = np.array(self._numbers(dt_s / parts), dtype=np.float64)
-        laboratory().muscle(after, clipped, clipped.size, numbers, dt_s, parts, angle, drive)
+        if self._packed[0] != dt_s / parts:
+            self._packed = dt_s / parts, np.array(self._numbers(dt_s / parts), dtype=np.float64)
+        laboratory().muscle(after, clipped, clipped.size, self._packed[1], dt_s, parts, angle, drive)
         return DeviceMotion(angle, drive, np.full(clipped.size, np.nan), after)
 
     def _numbers(self, step_s: float) -> MuscleNumbers:

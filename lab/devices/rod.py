@@ -152,6 +152,7 @@ class RodCatheter:
     def __init__(self, parameters: RodParameters | None = None) -> None:
         self.parameters = parameters or RodParameters()
         self._numbers = self.parameters.numbers()
+        self._packed = (0.0, np.empty(0))  # the last step, and the numbers for it
         self.residual_mm = 0.0
         """Greatest residual of the friction law in all steps so far [mm]; see `rod_solver.TOLERANCE_MM`."""
 
@@ -196,8 +197,9 @@ class RodCatheter:
     def _run(self, state: Vec, commands: Vec, step_s: float, parts: int) -> DeviceMotion:
         p = self.parameters
         angle, drive, tension = (np.empty(commands.size) for _ in range(3))
-        numbers = packed(self._numbers, p.step_numbers(step_s))
-        residual = rod_solver.advance(state, commands, self._numbers, numbers, parts, angle, drive, tension)
+        if self._packed[0] != step_s:
+            self._packed = step_s, packed(self._numbers, p.step_numbers(step_s))
+        residual = rod_solver.advance(state, commands, self._numbers, self._packed[1], parts, angle, drive, tension)
         self.residual_mm = max(self.residual_mm, float(residual))
         return DeviceMotion(angle + p.mount_deg, drive, tension, state)
 

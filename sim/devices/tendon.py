@@ -122,6 +122,7 @@ class TendonCatheter:
     def __init__(self, parameters: TendonParameters | None = None) -> None:
         self.parameters = parameters or TendonParameters()
         self._widths = self.parameters.widths
+        self._packed = (0.0, np.empty(0))  # the last sample time, and the numbers for it
 
     @property
     def commands(self) -> tuple[float, float]:
@@ -141,9 +142,10 @@ class TendonCatheter:
         clipped = np.clip(np.asarray(commands, dtype=np.float64), *self.commands)
         angle, drive, tension = (np.empty(clipped.size) for _ in range(3))
         bumps = random.standard_normal(clipped.size)
-        numbers = np.array(self._numbers(dt_s))
-        sizes, outputs = (self._widths.size, clipped.size), (angle, drive, tension)
-        engine().tendon(after, self._widths, sizes[0], clipped, bumps, sizes[1], numbers, dt_s, *outputs)
+        if self._packed[0] != dt_s:
+            self._packed = dt_s, np.array(self._numbers(dt_s), dtype=np.float64)
+        signals = clipped, bumps, clipped.size, self._packed[1], dt_s, angle, drive, tension
+        engine().tendon(after, self._widths, self._widths.size, *signals)
         return DeviceMotion(angle, drive, tension, after)
 
     @property
