@@ -1,4 +1,4 @@
-"""The laboratory with its C files compiled, as the product's setup.py does; everything else stands in pyproject.toml."""
+"""The laboratory with its C files compiled, as the product is; everything else stands in pyproject.toml."""
 
 import importlib.util
 import shutil
