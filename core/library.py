@@ -76,10 +76,22 @@ class _Array:
         return ctypes.c_void_p(array.ctypes.data)
 
 
-_NUMBERS = {"int": ctypes.c_int, "long": ctypes.c_long, "double": ctypes.c_double, "float": ctypes.c_float}
+_NUMBERS = {
+    "real": ctypes.c_double,
+    "int": ctypes.c_int,
+    "long": ctypes.c_long,
+    "double": ctypes.c_double,
+    "float": ctypes.c_float,
+}
 _ARRAYS = {
     name: type(f"_{name}", (_Array,), {"kind": np.dtype(kind)})
-    for name, kind in {"double": np.float64, "float": np.float32, "int": np.intc, "char": np.uint8}.items()
+    for name, kind in {
+        "real": np.float64,
+        "double": np.float64,
+        "float": np.float32,
+        "int": np.intc,
+        "char": np.uint8,
+    }.items()
 }
 _PROTOTYPE = re.compile(r"^HYSTMPC_API ([\w ]+?\**) ?\**(\w+)\(([^)]*)\);", re.MULTILINE)
 
