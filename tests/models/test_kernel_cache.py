@@ -305,23 +305,3 @@ def test_every_kernel_goes_through_the_checked_cache() -> None:
     rooms = ("trials", "models", "trajectories", "ctrl", "sim", "rig", "gap", "studies", "cli")
     texts = {path: path.read_text(encoding="utf-8") for room in rooms for path in (ROOT / room).rglob("*.py")}
     assert [str(path) for path, text in texts.items() if "from numba import njit" in text] == []
-
-
-@pytest.mark.slow
-def test_a_function_that_reads_several_modules_has_one_digest_in_every_process() -> None:
-    """Names of a function are a set, whose order Python draws anew at every start."""
-    code = (
-        "from hystmpc.models.kernels.numba_ import source_digest; "
-        "from hystmpc_lab.devices.kernels import bend; print(source_digest(bend))"
-    )
-    digests = [
-        subprocess.run(
-            [sys.executable, "-c", code],
-            env=os.environ | {"PYTHONHASHSEED": seed},
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout
-        for seed in ("1", "2", "3")
-    ]
-    assert len(set(digests)) == 1
