@@ -37,11 +37,16 @@ def engine(level: str | None = None) -> Any:
     Raises:
         HystmpcError: if the library is missing or older than the C files, and cannot be compiled.
     """
-    plain = _current("plain")
+    return compiled(FOLDER, level)
+
+
+@cache
+def compiled(folder: Path, level: str | None = None) -> Any:
+    """Functions of the C files in a folder; arguments and errors as those of `engine`."""
     if level is None:
-        best = int(plain.hystmpc_level())
+        best = int(_current(FOLDER, "plain").hystmpc_level())
         level = next(name for name in levels() if name == "plain" or int(name[1:]) <= best)
-    return bound(plain if level == "plain" else _current(level), FOLDER)
+    return bound(_current(folder, level), folder)
 
 
 def bound(library: ctypes.CDLL, folder: Path) -> Any:
@@ -109,8 +114,8 @@ def _argument(words: str) -> Any:
     return _ARRAYS.get(kind, ctypes.c_void_p)
 
 
-def _current(level: str) -> ctypes.CDLL:
-    path = FOLDER / file_name(level)
+def _current(folder: Path, level: str) -> ctypes.CDLL:
+    path = folder / file_name(level)
     if not _fresh(path):
         _rebuild(path)
     if not _fresh(path):
@@ -120,18 +125,19 @@ def _current(level: str) -> ctypes.CDLL:
 
 def _fresh(path: Path) -> bool:
     """Whether the library is there and of the present C files; a stale one must not be loaded, it would stay."""
-    return path.exists() and _digest().encode() in path.read_bytes()
+    return path.exists() and _digest(path.parent).encode() in path.read_bytes()
 
 
 @cache
-def _digest() -> str:
-    return digest(FOLDER)
+def _digest(folder: Path) -> str:
+    return digest(folder)
 
 
 def _rebuild(path: Path) -> None:
+    folder = path.parent
     try:
-        with FileLock(FOLDER / ".building.lock"):
+        with FileLock(folder / ".building.lock"):
             if not _fresh(path):  # nobody else has compiled it meanwhile
-                build(FOLDER, FOLDER)
+                build(folder, folder)
     except (OSError, RuntimeError) as error:
         raise HystmpcError(f"the engine is not compiled, and cannot be: {error}") from None

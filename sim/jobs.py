@@ -28,7 +28,7 @@ from hystmpc.trials.types import Progress
 
 T = TypeVar("T")
 R = TypeVar("R")
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _DEATHS = 3  # in a row, without a result between them
 _LISTENS_S = 0.2  # time between two checks for lost workers
 _AHEAD = 2  # items per worker that are sent in advance
@@ -106,7 +106,7 @@ class Processes(Backend):
 
     def _until_broken(self, function: Callable[[T], R], items: Iterator[T], pending: dict[Future[R], T]) -> Iterator[R]:
         """Results until the pool breaks; `pending` holds the items without a result."""
-        # Not forked: torch's and numba's threads do not survive a fork.
+        # Not forked: torch's threads do not survive a fork.
         context = multiprocessing.get_context("spawn")
         with _safe_path(), _compilation_reports(context) as reports:
             pool = ProcessPoolExecutor(self.workers, context, prepare_worker, (reports,))

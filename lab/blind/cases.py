@@ -24,8 +24,9 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from ..devices.cores import Core, Mounting, MuscleCore
+from ..library import laboratory
 from .device import BlindDevice
-from .generators import CONFIGURATION, Withheld, generators_of, second_order
+from .generators import CONFIGURATION, Withheld, generators_of
 from .plan import Plan, draw_plan
 from .retuning import GapRuler, retune, rms
 from .sealed import Answer, Case, EffectAnswer, Suite, densities
@@ -327,7 +328,7 @@ def _low_pass(angle: Vec, t: Vec, clock: float, size: float, random: np.random.G
     del clock, random
     fine = np.interp(np.linspace(t[0], t[-1], (t.size - 1) * _FINE + 1), t, angle)
     out = np.empty(fine.size)
-    second_order(fine, (t[1] - t[0]) / _FINE, 2 / size, 1.0, out)
+    laboratory().second_order(fine, fine.size, (t[1] - t[0]) / _FINE, 2 / size, 1.0, out)
     return out[::_FINE]
 
 

@@ -1,94 +1,23 @@
 """Withheld effects of the blind check: each is a function of its size, registered at its definition.
 
-A new one is a function under `@generates`; its equation must not be the library's.
+A new one is a function under `@generates`; its equation must not be the library's. Recursions are in c/effects.c.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from scipy.signal import fftconvolve
 
 from hystmpc.models.effects.catalogue import EFFECTS
-from hystmpc.models.kernels.numba_ import njit
 from hystmpc.trials.errors import ConfigError, did_you_mean
 from hystmpc.trials.types import Vec
 
 from ..devices.cores import FINE_S, PARTS, TRAVEL_MM, Scene, rise
-
-
-@njit(cache=True, error_model="numpy")
-def second_order(u: Any, dt: float, frequency: float, damping: float, out: Any) -> None:
-    """Second-order lag x'' = w^2 (u - x) - 2 zeta w x', semi-implicit, from rest at u[0]; w in rad/s."""
-    x, v = u[0], 0.0
-    for k in range(u.size):
-        v = (v + dt * frequency**2 * (u[k] - x)) / (1 + 2 * dt * damping * frequency + (dt * frequency) ** 2)
-        x += dt * v
-        out[k] = x
-
-
-@njit(cache=True, error_model="numpy")
-def cascade(u: Any, dt: float, lag: float, inner: float, limit: float, out: Any) -> None:
-    """Position loop over a velocity loop, from rest at u[0], with a delay of `lag` [s] on a ramp.
-
-    x' = v,  v' = b (r - v) + b^2 / 4 q,  q' = r - v,  r = clip((u - x) / lag, +-limit),  b = inner / lag.
-    """
-    x, v, q, band = u[0], 0.0, 0.0, inner / lag
-    for k in range(u.size):
-        wanted = min(max((u[k] - x) / lag, -limit), limit)
-        v = (v + dt * band * (wanted + 0.25 * band * q)) / (1 + dt * band)
-        q += dt * (wanted - v)
-        x += dt * v
-        out[k] = x
-
-
-@njit(cache=True, error_model="numpy")
-def lugre(drive: Any, dt: float, break_away: float, ratio: float, speed: float, numbers: Any, out: Any) -> None:
-    """Overdamped LuGre block behind a spring of unit stiffness; all forces are in degrees of the spring.
-
-    drive - y = s0 z + s1 z' + s2 y',  z' = v - s0 |v| z / g(v),  g = Fs (r + (1 - r) exp(-(v / vs)^2)), v = y'
-    (Canudas de Wit et al., IEEE Trans. Automatic Control 40, 1995, eq. (1)-(3)); z' is implicit.
-    """
-    s0, s1, s2 = numbers[0], numbers[1], numbers[2]
-    y, z, v = drive[0], 0.0, 0.0
-    for k in range(drive.size):
-        g = break_away * (ratio + (1 - ratio) * math.exp(-((v / speed) ** 2)))
-        decay = s0 * abs(v) / max(g, 1e-9)
-        # Force balance at the end of the step, z and y implicit in v, the decay rate explicit.
-        keep = 1 / (1 + dt * decay)
-        held = s0 * keep * z - s1 * decay * keep * z
-        per_v = dt + s0 * keep * dt + s1 * (1 - decay * keep * dt) + s2
-        v = (drive[k] - y - held) / per_v
-        z = keep * (z + dt * v)
-        y += dt * v
-        out[k] = y
-
-
-@njit(cache=True, error_model="numpy")
-def direction(x: Any, length: float, out: Any) -> None:
-    """Smoothed direction d in -1..1: dd / d|x| = (sign(dx) - d) / length, from d = 0."""
-    d, before = 0.0, x[0]
-    for k in range(x.size):
-        step = x[k] - before
-        before = x[k]
-        if step != 0.0:
-            side = 1.0 if step > 0 else -1.0
-            d = side + (d - side) * math.exp(-abs(step) / length)
-        out[k] = d
-
-
-@njit(cache=True, error_model="numpy")
-def plastic(bend: Any, dt: float, limit: float, exponent: float, rate: float, out: Any) -> None:
-    """Plastic set s with unit hardening: s' = rate max(bend - limit - s, 0)^exponent (Norton and Hoff)."""
-    s = 0.0
-    for k in range(bend.size):
-        s += dt * rate * max(bend[k] - limit - s, 0.0) ** exponent
-        out[k] = s
-
+from ..library import laboratory
 
 Shape = Mapping[str, float]
 Site = Literal["drive", "friction", "tip", "sensor"]
@@ -169,7 +98,8 @@ def cascaded_servo(u: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     The delay is at least 8 ms, below which it is not stable on the grid; the speed limit remains.
     """
     out = np.empty(u.size)
-    cascade(u, FINE_S, max(size, _LEAST_LAG_S), shape["inner"], shape["strokes_per_s"] * scene.travel, out)
+    lag, limit = max(size, _LEAST_LAG_S), shape["strokes_per_s"] * scene.travel
+    laboratory().cascade(u, u.size, FINE_S, lag, shape["inner"], limit, out)
     return out
 
 
@@ -218,7 +148,7 @@ def lugre_tip(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     """Tip with LuGre friction in its lumen; `size` is the break-away [deg of bending]."""
     del scene
     out = np.empty(angle.size)
-    lugre(angle, FINE_S, size, shape["ratio"], shape["stribeck_deg_s"], _LUGRE, out)
+    laboratory().lugre(angle, angle.size, FINE_S, size, shape["ratio"], shape["stribeck_deg_s"], _LUGRE, out)
     return out
 
 
@@ -244,7 +174,7 @@ def weight(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
 def directional_stiffness(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     """Stiffness that depends on the direction: theta + `size` d p(theta), d a smoothed direction in -1..1."""
     d, bend = np.empty(angle.size), scene.unit(angle)
-    direction(bend, shape["turn"], d)
+    laboratory().direction(bend, bend.size, shape["turn"], d)
     return angle + size * d * np.clip(bend, 0.0, 1.2) ** shape["power"]
 
 
@@ -284,7 +214,8 @@ def thermal_drift(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
 def plastic_set(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     """Plastic set by viscoplastic flow with hardening beyond a yield bend, about `size` [deg], new in each trial."""
     bend, out = np.maximum.accumulate(scene.unit(angle)), np.empty(angle.size)
-    plastic(bend, FINE_S, shape["yield"], shape["exponent"], shape["rate_per_s"], out)
+    flow = shape["yield"], shape["exponent"], shape["rate_per_s"]
+    laboratory().plastic(bend, bend.size, FINE_S, *flow, out)
     return angle + size * out / max(1 - shape["yield"], 0.05)
 
 
@@ -368,8 +299,8 @@ def cross_talk(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     at = np.sort(random.uniform(0, seconds, max(int(seconds / shape["pause_s"]), 2)))
     level = random.uniform(-1, 1, at.size + 1)
     t = np.arange(angle.size) * FINE_S
-    moved = np.empty(t.size)
-    second_order(level[np.searchsorted(at, t)], FINE_S, 9.0, 1.0, moved)
+    pulled, moved = level[np.searchsorted(at, t)], np.empty(t.size)
+    laboratory().second_order(pulled, t.size, FINE_S, 9.0, 1.0, moved)
     return angle + size * moved * (1 + 0.5 * scene.unit(angle))
 
 
@@ -378,7 +309,8 @@ def tip_resonance(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     """Lightly damped tip that oscillates after every acceleration: theta + `size` (ringing - theta)."""
     del scene
     out = np.empty(angle.size)
-    second_order(angle, FINE_S, 2 * np.pi * shape["frequency_hz"], shape["damping"], out)
+    frequency = 2 * np.pi * shape["frequency_hz"]
+    laboratory().second_order(angle, angle.size, FINE_S, frequency, shape["damping"], out)
     return angle + size * (out - angle)
 
 

@@ -17,7 +17,6 @@ from hystmpc.trials.types import Vec
 from . import kernels, rod_solver
 from .muscle import STATES, MuscleNumbers
 from .rod import RodCatheter, RodParameters
-from .rod_solver import new_knots, new_work
 
 TRAVEL_MM = 6.0
 STROKE = 0.6
@@ -332,7 +331,7 @@ class RodCore(Core):
 @lru_cache(maxsize=64)
 def _ways(core: RodCore, places: bytes, factors: bytes) -> Vec:
     """Tendon displacement in the rod [mm] for drive positions [mm] and friction factors, (K,) bytes each; cached."""
-    x, scale = (np.frombuffer(data).copy() for data in (places, factors))  # writable, as the kernel is compiled for
+    x, scale = np.frombuffer(places), np.frombuffer(factors)
     rod, stroke = core.rod(), STROKE * TRAVEL_MM
     before = np.concatenate([np.linspace(0.0, stroke, _BEFORE), np.linspace(stroke, x[0], _BEFORE)])
     state = RodCatheter(rod).virgin()
@@ -345,13 +344,14 @@ def _ways(core: RodCore, places: bytes, factors: bytes) -> Vec:
 def _bends(rod: RodParameters, state: Vec, places: Vec, factors: Vec, step_s: float) -> Vec:
     """Bend (K,) [deg] at the end of every step; updates `state`. The kernel takes one friction a call."""
     bend, drive, tension = (np.empty(places.size) for _ in range(3))
-    step, work, knots, whole = rod.step_numbers(step_s), new_work(rod.contacts), new_knots(rod.contacts), rod.numbers()
+    whole = rod.numbers()
+    packed = rod_solver.packed(whole, rod.step_numbers(step_s))
     ends = [0, *(np.flatnonzero(np.diff(factors)) + 1).tolist(), places.size]
     for first, stop in itertools.pairwise(ends):
-        numbers = whole._replace(mu=float(factors[first]) * whole.mu, drag=factors[first] * whole.drag)
+        numbers = rod_solver.rubbing(packed, float(factors[first]), rod.contacts)
         part = slice(first, stop)
         out = bend[part], drive[part], tension[part]
-        rod_solver.advance(state, places[part], numbers, step, 1, work, knots, *out)
+        rod_solver.advance(state, places[part], whole, numbers, 1, *out)
     return bend
 
 

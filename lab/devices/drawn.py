@@ -21,8 +21,9 @@ from ..study import StudySettings
 from . import kernels
 from .cores import CapstanCore, Core, DahlCore, MuscleCore, RodCore
 from .kernels import CAPSTAN, DAHL, FINE_S, MUSCLE, OWN, ROD, Packed
+from .muscle import STATES
 from .rod import RodCatheter
-from .rod_solver import new_knots, new_work
+from .rod_solver import packed as rod_packed
 
 FAMILIES = ("rod", "capstan", "dahl", "muscle")
 RATES_HZ = (25.0, 50.0, 250.0)
@@ -40,9 +41,6 @@ _ELEMENTS = 8  # of a Dahl core
 _REVERSAL = 1.15  # widths of the Dahl elements over those at which the angle stands still at a reversal
 _ROD_STEP_S = 0.02  # longest, as in the blind check
 _FLEXURE_S, _SETTLED, _LONGEST_S = 10.0, 6.0, 60.0
-
-
-_NO_MUSCLE, _NO_ROD = MuscleCore(), RodCore()
 
 
 @dataclass(frozen=True)
@@ -199,45 +197,46 @@ def worn(device: DrawnDevice, friction: float, stiffness: float) -> DrawnDevice:
 
 def packed(device: DrawnDevice, delay_s: float) -> Packed:
     """Device in the form of the recursions, with another delay [s]."""
-    core = device.core
-    fine = round(1 / (device.rate_hz * FINE_S))
-    rod = core.rod() if isinstance(core, RodCore) else _NO_ROD.rod()
-    places = max(math.ceil(fine * FINE_S / _ROD_STEP_S - 1e-9), 1)
-    capstan = core if isinstance(core, CapstanCore) else CapstanCore()
-    dahl = core if isinstance(core, DahlCore) else DahlCore()
-    shares, weights = capstan.compliances()
-    widths = np.geomspace(1.0, dahl.spread, _ELEMENTS)
+    fine, delay = round(1 / (device.rate_hz * FINE_S)), round(delay_s / FINE_S)
+    servo, commands, core = device.damping > 0, -(-delay // fine) + 1, device.core
+    drive = (
+        -math.expm1(-FINE_S / device.lag_s) if device.lag_s > 0 else 1.0,
+        2 * device.damping / device.lag_s if servo else 0.0,
+        device.damping,
+        device.creep,
+        -math.expm1(-FINE_S / device.creep_s),
+        float(core.gain),
+        float(core.offset_deg),
+    )
+    steps = max(math.ceil(fine * FINE_S / _ROD_STEP_S - 1e-9), 1) if isinstance(core, RodCore) else 0
+    entries, segments, numbers = _core_numbers(core, fine * FINE_S / max(steps, 1))
+    states = RodCatheter(core.rod()).state_size if isinstance(core, RodCore) else entries
+    return Packed(
+        sizes=np.array([_CODES[device.family], fine, commands, delay, steps, entries, segments], dtype=np.intc),
+        numbers=np.concatenate([drive, numbers]),
+        states=commands + OWN + states,
+        room=6 * (max(fine, kernels.SETTLE) + 1),
+        commands=commands,
+        creep=device.creep,
+    )
+
+
+def _core_numbers(core: Core, step_s: float) -> tuple[int, int, Vec]:
+    """Entries of the core's state, or contacts of a rod's shaft; segments of a rod; and what c/drawn.h wants of it."""
+    if isinstance(core, RodCore):
+        rod = core.rod()
+        return rod.shaft_contacts, rod.segments, rod_packed(rod.numbers(), rod.step_numbers(step_s))
+    if isinstance(core, CapstanCore):
+        shares, weights = core.compliances()
+        return shares.size, 0, np.concatenate([(core.wrap, core.pretension), shares, weights])
+    if isinstance(core, MuscleCore):
+        return STATES, 0, np.array(core.numbers_of_muscle())
+    assert isinstance(core, DahlCore)
+    widths = np.geomspace(1.0, core.spread, _ELEMENTS)
     # At a reversal an element turns twice as fast as the place moves: together they may not outrun it, else the angle
     # would go on rising while the command falls.
-    widths *= _REVERSAL * 2 * _ELEMENTS * dahl.friction / float(widths.sum())
-    delay = round(delay_s / FINE_S)
-    servo = device.damping > 0
-    return Packed(
-        core=_CODES[device.family],
-        fine=fine,
-        commands=-(-delay // fine) + 1,
-        delay=delay,
-        lag_share=-math.expm1(-FINE_S / device.lag_s) if device.lag_s > 0 else 1.0,
-        frequency=2 * device.damping / device.lag_s if servo else 0.0,
-        damping=device.damping,
-        creep=device.creep,
-        creep_share=-math.expm1(-FINE_S / device.creep_s),
-        gain=float(core.gain),
-        offset_deg=float(core.offset_deg),
-        wrap=np.full(fine, capstan.wrap),
-        pretension=float(capstan.pretension),
-        shares=shares,
-        weights=weights,
-        widths=widths,
-        parts=np.full(_ELEMENTS, dahl.friction / float(widths.sum())),
-        ones=np.ones(max(fine, kernels.SETTLE) + 1),
-        muscle=(core if isinstance(core, MuscleCore) else _NO_MUSCLE).numbers_of_muscle(),
-        rod=rod.numbers(),
-        step=rod.step_numbers(fine * FINE_S / places),
-        places=places,
-        work=new_work(rod.contacts),
-        knots=new_knots(rod.contacts),
-    )
+    widths *= _REVERSAL * 2 * _ELEMENTS * core.friction / float(widths.sum())
+    return _ELEMENTS, 0, np.concatenate([widths, np.full(_ELEMENTS, core.friction / float(widths.sum()))])
 
 
 def _virgin(device: DrawnDevice, p: Packed) -> Vec:

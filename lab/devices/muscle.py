@@ -4,26 +4,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, NamedTuple, final
+from typing import Literal, NamedTuple, final
 
 import numpy as np
 
-from hystmpc.models.kernels.numba_ import njit
 from hystmpc.models.maps import LaserConversion
 from hystmpc.sim.devices.device import DeviceMotion, NamedDevice, Quantities, quantity
 from hystmpc.trajectories.trajectory import Trajectory
 from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Vec
 
+from ..library import laboratory
 from .recorder import generator, quantised, sampled
 
-PRESSURE, BLADDER, FRICTION, LATE, BEND = range(5)
 STATES = 5
 _STEP_S = 1e-3  # longest step of the recursion
 
 
 class MuscleNumbers(NamedTuple):
-    """Parameters in the form of the recursion; see `MuscleParameters`."""
+    """Parameters of the recursion in c/muscle.c, in its order; see `MuscleParameters`."""
 
     supply_bar: float
     valve_s: float
@@ -38,36 +37,6 @@ class MuscleNumbers(NamedTuple):
     late: float
     late_share: float
     bend_share: float
-
-
-@njit(cache=True, error_model="numpy")
-def slack(pressure: float, at: float, width: float) -> float:
-    """Pressure that reaches the braid: a smooth max(p - at, 0) that is 0 at p = 0."""
-    return width * (math.log1p(math.exp((pressure - at) / width)) - math.log1p(math.exp(-at / width)))
-
-
-@njit(cache=True, error_model="numpy")
-def advance(state: Any, commands: Any, p: Any, dt: float, parts: int, angle: Any, drive: Any) -> None:
-    """Advance `state` (5,) through commands (T,), each in `parts` steps of dt / parts; outputs (T,)."""
-    pressure, before, friction, late, bend = state
-    h = dt / parts
-    for k in range(commands.size):
-        for _ in range(parts):
-            flow = (commands[k] - pressure) / p.valve_s
-            flow = min(max(flow, -pressure / p.vent_s), (p.supply_bar - pressure) / p.fill_s)
-            pressure = max(pressure + h * flow, 0.0)
-            bladder = slack(pressure, p.slack_bar, p.slack_width_bar)
-            step = bladder - before
-            before = bladder
-            side = 1.0 if step > 0 else -1.0
-            friction = side + (friction - side) * math.exp(-abs(step) / p.presliding_bar)
-            pull = max(bladder * (1 - p.friction * friction), 0.0)
-            still = p.greatest_deg * pull / (pull + p.half_bar)
-            late += p.late_share * (still - late)
-            bend += p.bend_share * (still + p.late * (late - still) - bend)
-        angle[k] = bend
-        drive[k] = pressure
-    state[0], state[1], state[2], state[3], state[4] = pressure, before, friction, late, bend
 
 
 @dataclass(frozen=True)
@@ -133,6 +102,7 @@ class MuscleCatheter:
 
     def __init__(self, parameters: MuscleParameters | None = None) -> None:
         self.parameters = parameters or MuscleParameters()
+        self._packed = (0.0, np.empty(0))  # the last step, and the numbers for it
 
     @property
     def commands(self) -> tuple[float, float]:
@@ -155,7 +125,9 @@ class MuscleCatheter:
         clipped = np.clip(np.asarray(commands, dtype=np.float64), *self.commands)
         angle, drive = np.empty(clipped.size), np.empty(clipped.size)
         parts = max(math.ceil(dt_s / _STEP_S - 1e-9), 1)
-        advance(after, clipped, self._numbers(dt_s / parts), dt_s, parts, angle, drive)
+        if self._packed[0] != dt_s / parts:
+            self._packed = dt_s / parts, np.array(self._numbers(dt_s / parts), dtype=np.float64)
+        laboratory().muscle(after, clipped, clipped.size, self._packed[1], dt_s, parts, angle, drive)
         return DeviceMotion(angle, drive, np.full(clipped.size, np.nan), after)
 
     def _numbers(self, step_s: float) -> MuscleNumbers:

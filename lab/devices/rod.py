@@ -15,7 +15,7 @@ from hystmpc.trials.types import Vec
 
 from . import rod_solver
 from .recorder import EmTracker, TrackedBench
-from .rod_solver import RodNumbers, StepNumbers, new_knots, new_work
+from .rod_solver import RodNumbers, StepNumbers, packed
 
 _SINKING = 0.5  # greatest weight moment over stiffness: beyond, a rod buckles under its own weight
 _PULL = 40  # steps in which the virgin tendon is tensioned
@@ -80,11 +80,6 @@ class RodParameters(Quantities):
         stiffness = self.stiffness_nmm * n
         shaft, rod = (p + 1) * self.shaft_n_per_mm, n * self.rod_n_per_mm
         return RodNumbers(
-            shaft_contacts=p,
-            segments=n,
-            compliance=np.repeat([1 / shaft, 1 / rod], [p + 1, n]),
-            wrap=np.repeat([0.0, math.radians(self.shaft_bend_deg) / p, 0.0], [1, p, n]),
-            drag=np.repeat([0.0, self.shaft_drag_n / p, self.rod_drag_n / n], [1, p, n]),
             mu=self.friction,
             offset=self.offset_mm,
             rest=math.radians(self.rest_deg) / n,
@@ -95,6 +90,11 @@ class RodParameters(Quantities):
             weight=self.weight_n / n,
             length=self.length_mm / n,
             down=math.radians(self.down_deg),
+            compliance=np.repeat([1 / shaft, 1 / rod], [p + 1, n]),
+            wrap=np.repeat([0.0, math.radians(self.shaft_bend_deg) / p, 0.0], [1, p, n]),
+            drag=np.repeat([0.0, self.shaft_drag_n / p, self.rod_drag_n / n], [1, p, n]),
+            shaft_contacts=p,
+            segments=n,
         )
 
     def step_numbers(self, dt_s: float) -> StepNumbers:
@@ -139,7 +139,7 @@ class RodCatheter:
     The tendon runs from the drive through a passive, curved shaft and the rod to the tip. It is elastic and can only
     pull; at m contacts along its way it sticks or slips by the capstan law, each with a memory of its own. The rod's
     segments are standard linear solids, and the first flexure leaves them a set. Equations and one step:
-    `rod_solver`. The sources are those of tendon-sheath mechanics: Kaneko et al., IEEE T-RA 7 (1991), elastic
+    c/rod.c. The sources are those of tendon-sheath mechanics: Kaneko et al., IEEE T-RA 7 (1991), elastic
     tendon in a capstan; Agrawal et al., IEEE T-RO 26 (2010), its lumps in series; and for the rod Rucker and Webster,
     IEEE T-RO 27 (2011), whose planar case at a constant offset is the moment offset x tension.
 
@@ -152,6 +152,7 @@ class RodCatheter:
     def __init__(self, parameters: RodParameters | None = None) -> None:
         self.parameters = parameters or RodParameters()
         self._numbers = self.parameters.numbers()
+        self._packed = (0.0, np.empty(0))  # the last step, and the numbers for it
         self.residual_mm = 0.0
         """Greatest residual of the friction law in all steps so far [mm]; see `rod_solver.TOLERANCE_MM`."""
 
@@ -196,8 +197,9 @@ class RodCatheter:
     def _run(self, state: Vec, commands: Vec, step_s: float, parts: int) -> DeviceMotion:
         p = self.parameters
         angle, drive, tension = (np.empty(commands.size) for _ in range(3))
-        numbers, step, work, knots = self._numbers, p.step_numbers(step_s), new_work(p.contacts), new_knots(p.contacts)
-        residual = rod_solver.advance(state, commands, numbers, step, parts, work, knots, angle, drive, tension)
+        if self._packed[0] != step_s:
+            self._packed = step_s, packed(self._numbers, p.step_numbers(step_s))
+        residual = rod_solver.advance(state, commands, self._numbers, self._packed[1], parts, angle, drive, tension)
         self.residual_mm = max(self.residual_mm, float(residual))
         return DeviceMotion(angle + p.mount_deg, drive, tension, state)
 

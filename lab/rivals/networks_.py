@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib import resources
 from itertools import pairwise
 from typing import Any, ClassVar, final
 
@@ -15,7 +14,7 @@ import torch
 from onnx import TensorProto
 
 from hystmpc.models.contract.onnx_nodes import operator_nodes
-from hystmpc.models.kernels.numba_ import generated_module
+from hystmpc.models.program import dense
 from hystmpc.models.networks.network_ import Network, numbers
 from hystmpc.models.networks.nodes import GraphWriter
 from hystmpc.models.networks.recurrent_ import LstmNet
@@ -120,20 +119,16 @@ def operator_step(operator: Operator, dt: float = 1.0) -> OperatorStep:
     return OperatorStep(function, np.zeros(size + 2), np.eye(size + 2)[size])
 
 
-_DECORATOR = '@njit(cache=True, error_model="numpy", inline="never")\n'
-
-
 @final
 class OperatorLayer:
     """Recursion of an `OperatorStep` over a sequence, with parameters that may change from sample to sample.
 
-    A sequence in PyTorch's own operations costs a dozen of them a sample; the compiled one is free beside a network.
-    Derivatives are those of the active branch: step functions have none (S2 section III-C).
+    A sequence in PyTorch's own operations costs a dozen of them a sample; CasADi evaluates all rows of a sample at
+    once. Derivatives are those of the active branch: step functions have none (S2 section III-C).
     """
 
     def __init__(self, step: OperatorStep) -> None:
-        self.step = step
-        self._kernels = _compile(step.function.serialize())
+        self.step, self._text = step, step.function.serialize()
         self._offset, self._slope = torch.tensor(step.offset), torch.tensor(step.slope)
 
     def start(self, y: torch.Tensor) -> torch.Tensor:
@@ -142,60 +137,83 @@ class OperatorLayer:
 
     def __call__(self, u: torch.Tensor, p: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Outputs (N, T) and last states (N, S) from inputs (N, T), parameters (N, T, P) and states (N, S)."""
-        y, following = _Recursion.apply(u, p, state, self._kernels)
+        y, following = _Recursion.apply(u, p, state, self._text)
         return y, following
 
     def __deepcopy__(self, memo: dict[int, Any]) -> OperatorLayer:
         return self  # it never changes, and a CasADi function cannot be copied
 
 
-@dataclass(frozen=True)
-class _Kernels:
-    """Compiled `run` and `pull_back` of `operator_loops`, with the numbers of their expressions."""
-
-    run: Callable[..., None]
-    pull_back: Callable[..., None]
-    forward_constants: Vec
-    partial_constants: Vec
-
-
 class _Recursion(torch.autograd.Function):
+    """Arrays are (T, N, ...) within, so that one sample of all rows is one block of memory."""
+
     @staticmethod
-    def forward(ctx: Any, u: Any, p: Any, state: Any, kernels: _Kernels) -> tuple[torch.Tensor, torch.Tensor]:
-        ctx.arrays = tuple(np.ascontiguousarray(part.detach().double().numpy()) for part in (u, p))
-        ctx.kernels = kernels
-        rows, samples = u.shape
-        ctx.states = np.empty((rows, samples + 1, state.shape[1]))
-        ctx.states[:, 0] = state.detach().numpy()
-        y = np.empty((rows, samples))
-        kernels.run(ctx.states, *ctx.arrays, y, kernels.forward_constants)
-        return torch.from_numpy(y).to(u.dtype), torch.from_numpy(ctx.states[:, -1].copy()).to(u.dtype)
+    def forward(ctx: Any, u: Any, p: Any, state: Any, step: str) -> tuple[torch.Tensor, torch.Tensor]:
+        inputs, parameters = (_by_sample(part) for part in (u, p))
+        samples, rows = inputs.shape
+        states, y = np.empty((samples + 1, rows, state.shape[1])), np.empty((samples, rows))
+        states[0] = state.detach().numpy()
+        _evaluate(_run(step, rows, samples), (states[0], inputs, parameters), (y, states[1:]))
+        ctx.step, ctx.arrays = step, (states, inputs, parameters)
+        return torch.from_numpy(y.T.copy()).to(u.dtype), torch.from_numpy(states[-1].copy()).to(u.dtype)
 
     @staticmethod
     def backward(ctx: Any, *grad_outputs: Any) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, None]:
-        by_y, by_following = grad_outputs
-        by_u, by_p = (np.empty_like(part) for part in ctx.arrays)
-        by_state = np.array(by_following.double().numpy())
-        given = np.ascontiguousarray(by_y.double().numpy())
-        ctx.kernels.pull_back(ctx.states, *ctx.arrays, given, by_state, by_u, by_p, ctx.kernels.partial_constants)
-        first, second, third = (torch.from_numpy(part).to(by_y.dtype) for part in (by_u, by_p, by_state))
-        return first, second, third, None
+        states, inputs, parameters = ctx.arrays
+        by_y, last = _by_sample(grad_outputs[0]), grad_outputs[1].double().numpy()
+        (samples, rows), size, count = inputs.shape, states.shape[2], parameters.shape[2]
+        # Derivatives of the next state x by x, u and p, and of y by them; matrices of CasADi are column-major.
+        shapes = ((size, size), (size,), (size,), (), (count, size), (count,))
+        slopes = [np.empty((samples, rows, *shape)) for shape in shapes]
+        _evaluate(_partials(ctx.step, samples * rows), (states[:-1], inputs, parameters), slopes)
+        a, b, c, d, e, f = slopes
+        by_next = np.empty((samples, rows, size))  # of the loss by the state after each sample
+        now = np.array(last)
+        for t in range(samples - 1, -1, -1):
+            by_next[t], through = now, a[t] * now[:, None, :]
+            now = by_y[t][:, None] * c[t]
+            for i in range(size):
+                now += through[:, :, i]
+        by_u, by_p = by_y * d, by_y[:, :, None] * f
+        for i in range(size):
+            by_u += by_next[:, :, i] * b[:, :, i]
+            by_p += by_next[:, :, i, None] * e[:, :, :, i]
+        dtype = grad_outputs[0].dtype
+        by_inputs = (torch.from_numpy(np.swapaxes(part, 0, 1).copy()).to(dtype) for part in (by_u, by_p))
+        return *by_inputs, torch.from_numpy(now).to(dtype), None
 
 
-@lru_cache(maxsize=16)
-def _compile(serialized: str) -> _Kernels:
+def _by_sample(part: torch.Tensor) -> Vec:
+    """Rows (N, T, ...) as one array (T, N, ...)."""
+    return np.ascontiguousarray(np.swapaxes(part.detach().double().numpy(), 0, 1))
+
+
+def _evaluate(function: Any, inputs: Sequence[Vec], outputs: Sequence[Vec]) -> None:
+    """Evaluate a CasADi function on the memory of contiguous arrays."""
+    buffer, evaluate = function.buffer()
+    for k, part in enumerate(inputs):
+        buffer.set_arg(k, memoryview(part))
+    for k, part in enumerate(outputs):
+        buffer.set_res(k, memoryview(part))
+    evaluate()
+
+
+@lru_cache(maxsize=64)
+def _run(serialized: str, rows: int, samples: int) -> Any:
+    """The step over a sequence of all rows."""
+    return ca.Function.deserialize(serialized).map(rows).mapaccum("run", samples, [0], [1])
+
+
+@lru_cache(maxsize=64)
+def _partials(serialized: str, columns: int) -> Any:
+    """The derivatives of the step, on so many columns."""
     function = ca.Function.deserialize(serialized)
     x, p = ca.SX.sym("x", function.numel_in(0)), ca.SX.sym("p", function.numel_in(2))
     u = ca.SX.sym("u")
     y, following = function(x, u, p)
     by = ca.jacobian
-    slopes = [by(following, x), by(following, u), by(y, x), by(y, u), by(following, p), by(y, p)]
-    forward = scalar_program(dense("forward_step", [x, u, p], [y, following]), "forward_step")
-    partials = scalar_program(dense("partials", [x, u, p], slopes), "partials")
-    generated = "".join(_DECORATOR + program.source + "\n\n" for program in (forward, partials))
-    loops = resources.files("hystmpc_lab.rivals").joinpath("operator_loops.py").read_text(encoding="utf-8")
-    module = generated_module("import math\n\n\n" + generated + loops)
-    return _Kernels(module.run, module.pull_back, np.array(forward.constants), np.array(partials.constants))
+    parts = [by(following, x), by(following, u), by(y, x), by(y, u), by(following, p), by(y, p)]
+    return dense("partials", [x, u, p], parts).map(columns)
 
 
 STEERED = 4  # m_lo, m_up, c_lo, c_up

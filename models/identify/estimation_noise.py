@@ -9,6 +9,7 @@ from typing import Any, final
 
 import numpy as np
 
+from hystmpc.core.library import engine
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
@@ -17,7 +18,6 @@ from ..contract.export import ExportBundle
 from ..contract.metadata import NoiseModel
 from ..decades import Decades
 from ..evaluate import started
-from ..kernels.numba_ import njit
 from ..model import LoadedModel
 
 _LEAST_DEG = 1e-4  # least noise of the sensor: smaller residuals are rounding errors of noise-free simulations
@@ -152,8 +152,7 @@ def _optimism(residuals: Sequence[Vec], fitted: int) -> float:
     return min(math.sqrt(independent / max(independent - fitted, 1e-9)), _GREATEST_OPTIMISM)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def walk_likelihood(residuals: Any, travel: Any, drift: float, motion: float) -> tuple[float, float]:
+def walk_likelihood(residuals: Vec, travel: Vec, drift: float, motion: float) -> tuple[float, float]:
     """Twice the negative log-likelihood without a constant, and the sensor's variance [deg^2].
 
     P, S in variances of the sensor:  S = P + 1,  r = mean e^2 / S,  cost = n log r + sum log S.
@@ -163,20 +162,9 @@ def walk_likelihood(residuals: Any, travel: Any, drift: float, motion: float) ->
         travel: of the command in the sample before each (T,) [command unit]; below zero at the first one of a trial.
         drift, motion: variance of the walk in a sample, and over one unit of travel, in variances of the sensor.
     """
-    disturbance, variance, squares, logs, count = 0.0, 1.0, 0.0, 0.0, 0
-    for k in range(residuals.size):
-        if travel[k] < 0.0:
-            disturbance, variance = residuals[k], 1.0  # the first residual of a trial only gives the start of the walk
-            continue
-        variance += drift + motion * travel[k]
-        spread, error = variance + 1.0, residuals[k] - disturbance
-        squares += error * error / spread
-        logs += math.log(spread)
-        disturbance += variance / spread * error
-        variance /= spread
-        count += 1
-    sensor = max(squares / count, 1e-16)
-    return count * math.log(sensor) + logs, sensor
+    sensor = np.empty(1)
+    cost = engine().walk_likelihood(residuals, travel, residuals.size, drift, motion, sensor)
+    return cost, float(sensor[0])
 
 
 _ON_GRID, _GRID_TOLERANCE = 0.95, 0.1  # share of readings; tolerance as share of the step (by chance: a fifth)

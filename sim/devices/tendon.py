@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple, final
+from typing import NamedTuple, final
 
 import numpy as np
 
-from hystmpc.models.kernels.numba_ import njit
+from hystmpc.core.library import engine
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
 from .device import DeviceMotion, Quantities, quantity
 
-DRIVE, ROUGHNESS, VISCOUS, CREEP, REACHED = range(5)  # of the state, after the elements
-EXTRA_STATES = 5
+EXTRA_STATES = 5  # drive, roughness, viscoelastic angle, creep and greatest drive, after the elements
 
 
 class TendonNumbers(NamedTuple):
-    """Parameters of the recursion of `advance`; see `TendonParameters`."""
+    """Parameters of the recursion in core/tendon.c, in its order; see `TendonParameters`."""
 
     drive_share: float  # 1 - exp(-dt / drive_lag)
     middle_slope: float
@@ -41,38 +40,6 @@ class TendonNumbers(NamedTuple):
     pretension_n: float
     stiffness_n_per_mm: float
     friction_tension: float
-
-
-@njit(cache=True, error_model="numpy")
-def advance(
-    state: Any, widths: Any, commands: Any, bumps: Any, p: Any, dt: float, angle: Any, drive: Any, tension: Any
-) -> None:
-    """Advance `state` (N + 5,) by commands (T,) in place; `widths` (N,), `bumps` (T,) standard normal; outputs (T,)."""
-    count = widths.size
-    x, rough, viscous, creep, reached = state[count:]
-    for k in range(commands.size):
-        step = p.drive_share * (commands[k] - x)
-        x += step
-        travel = abs(step)
-        keep = math.exp(-travel / p.roughness_mm)
-        rough = keep * rough + p.roughness * math.sqrt(max(1 - keep * keep, 0.0)) * bumps[k]
-        middle = p.middle_deg + p.middle_slope * x + p.end_deg * math.exp(-x / p.end_mm)
-        half = (p.half_gap_deg + p.half_gap_slope * x) * (1 + p.viscous_s_per_mm * travel / dt) * max(1 + rough, 0.0)
-        total = 0.0
-        for i in range(count):
-            # The friction of an element holds it until the wall reaches it.
-            state[i] = max(middle - widths[i] * half, min(middle + widths[i] * half, state[i]))
-            total += state[i]
-        bend = total / count
-        viscous += p.viscoelastic_share * (bend - viscous)
-        creep += p.creep_share * (bend - creep)
-        reached = max(reached, x)
-        set_left = p.set_deg * max(1 - reached / p.set_mm, 0.0)
-        angle[k] = bend + p.viscoelastic * (viscous - bend) + p.creep * (creep - bend) + p.offset_deg - set_left
-        drive[k] = x
-        stick = (middle - bend) / half if half > 0 else 0.0  # 1 on the loading line, -1 on the unloading line
-        tension[k] = (p.pretension_n + p.stiffness_n_per_mm * x) * (1 + p.friction_tension * (stick - 1))
-    state[count:] = np.array([x, rough, viscous, creep, reached])
 
 
 @dataclass(frozen=True)
@@ -155,6 +122,7 @@ class TendonCatheter:
     def __init__(self, parameters: TendonParameters | None = None) -> None:
         self.parameters = parameters or TendonParameters()
         self._widths = self.parameters.widths
+        self._packed = (0.0, np.empty(0))  # the last sample time, and the numbers for it
 
     @property
     def commands(self) -> tuple[float, float]:
@@ -174,8 +142,10 @@ class TendonCatheter:
         clipped = np.clip(np.asarray(commands, dtype=np.float64), *self.commands)
         angle, drive, tension = (np.empty(clipped.size) for _ in range(3))
         bumps = random.standard_normal(clipped.size)
-        numbers = self._numbers(dt_s)
-        advance(after, self._widths, clipped, bumps, numbers, dt_s, angle, drive, tension)
+        if self._packed[0] != dt_s:
+            self._packed = dt_s, np.array(self._numbers(dt_s), dtype=np.float64)
+        signals = clipped, bumps, clipped.size, self._packed[1], dt_s, angle, drive, tension
+        engine().tendon(after, self._widths, self._widths.size, *signals)
         return DeviceMotion(angle, drive, tension, after)
 
     @property

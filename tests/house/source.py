@@ -89,9 +89,10 @@ def modules(root: Path = ROOT) -> tuple[Module, ...]:
 
 @lru_cache
 def _parsed_once(root: Path) -> tuple[Module, ...]:
-    front = sorted(path for path in root.glob("*.py") if path.name != "setup.py")  # no part of the package
     rooms = [path for room in (*ROOMS, LAB) for path in sorted((root / room).rglob("*.py"))]
-    return tuple(Module(root, path) for path in (*front, *rooms) if SCRIPTS not in path.parents)
+    builds = (root / "setup.py", root / LAB / "setup.py")  # no part of a package
+    found = [path for path in (*sorted(root.glob("*.py")), *rooms) if path not in builds]
+    return tuple(Module(root, path) for path in found if SCRIPTS not in path.parents)
 
 
 def functions(nodes: Iterable[ast.AST]) -> Iterator[Function]:

@@ -305,31 +305,3 @@ def test_every_kernel_goes_through_the_checked_cache() -> None:
     rooms = ("trials", "models", "trajectories", "ctrl", "sim", "rig", "gap", "studies", "cli")
     texts = {path: path.read_text(encoding="utf-8") for room in rooms for path in (ROOT / room).rglob("*.py")}
     assert [str(path) for path, text in texts.items() if "from numba import njit" in text] == []
-
-
-@pytest.mark.slow
-def test_a_function_that_reads_several_modules_has_one_digest_in_every_process() -> None:
-    """Names of a function are a set, whose order Python draws anew at every start."""
-    code = (
-        "from hystmpc.models.kernels.numba_ import source_digest; "
-        "from hystmpc_lab.devices.kernels import bend; print(source_digest(bend))"
-    )
-    digests = [
-        subprocess.run(
-            [sys.executable, "-c", code],
-            env=os.environ | {"PYTHONHASHSEED": seed},
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout
-        for seed in ("1", "2", "3")
-    ]
-    assert len(set(digests)) == 1
-
-
-def test_a_generated_module_is_imported_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("HYSTMPC_CACHE_DIR", str(tmp_path))
-    first = generated_module("VALUE = 1\n")
-    assert generated_module("VALUE = 1\n") is first
-    assert generated_module("VALUE = 2\n").VALUE == 2
-    assert len(list(tmp_path.glob("hystmpc_kernel_*.py"))) == 2

@@ -1,0 +1,16 @@
+/* The simulated tendon catheter of sim/devices/tendon.py, whose docstring has the equations and their source (S2). */
+#ifndef HYSTMPC_TENDON_H
+#define HYSTMPC_TENDON_H
+
+#include "hystmpc_core.h"
+
+/* Moves the state (N + 5,) on by commands (T,) [mm], each held for dt [s].
+ *
+ * State: N friction elements [deg], drive [mm], roughness, viscoelastic and creep angle [deg], greatest drive [mm].
+ * `widths` (N,) of the elements, `bumps` (T,) standard normal; `numbers` (20,) are the fields of `Tendon` in tendon.c,
+ * in their order. Outputs (T,): angle [deg], drive [mm], tension [N]. */
+HYSTMPC_API void hystmpc_tendon(double *state, const double *widths, int count, const double *commands,
+                                const double *bumps, int samples, const double *numbers, double dt, double *angle,
+                                double *drive, double *tension);
+
+#endif
