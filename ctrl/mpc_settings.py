@@ -1,4 +1,4 @@
-"""Settings of the predictive controllers; imports neither numba nor a solver, which take over a second to load."""
+"""Settings of the predictive controllers; imports no solver, which takes long to load."""
 
 from __future__ import annotations
 

@@ -213,7 +213,7 @@ class OutputEstimator(Observer):
     """
 
     def __init__(self, predictor: Predictor, settings: EstimatorSettings) -> None:
-        from .noise import NoiseBank  # numba takes a second to import, which settings alone need not wait for
+        from .noise import NoiseBank  # settings alone need no engine
 
         self._predictor = predictor
         self._settings = settings

@@ -1,1 +1,1 @@
-"""Compiled roll-outs and exact sensitivities, made by numba on the user's machine without a compiler."""
+"""Roll-outs and exact sensitivities of recurrent networks."""
