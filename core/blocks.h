@@ -4,7 +4,7 @@
 
 #include "chain.h"
 
-enum { LANES = 128, STRIDE = LANES + 8, CHAIN_HEAD = 7, STAGE = 9, MOST = 16 };
+enum { LANES = 256, STRIDE = LANES + 8, CHAIN_HEAD = 7, STAGE = 9, MOST = 16 };
 
 /* One stage of a chain, with the rows of its block. */
 typedef struct {

@@ -71,25 +71,28 @@ class ChainCode:
         )
         self.stages = tuple(stages)
         self.code, self.constants = _block(stages, wires, shown, signals, self)
-        self._c: Any = engine()
+        self.functions: Any = engine()
         self._registers = max((stage.registers for stage in stages), default=0)
-        self._single = int(self._c.chain_single_bytes(self.code))
+        self._single = int(self.functions.chain_single_bytes(self.code))
         self._known_bytes: dict[tuple[int, ...], int] = {}
 
     def prepare(self, parameters: Array, dt_s: float) -> Array:
         """Values (K, N) that parameters (P, N) and sample time [s] alone decide."""
         kept = np.empty((self.kept, parameters.shape[1]))
         room = np.empty(self._registers)
-        self._c.chain_prepare(self.code, self.constants, parameters, parameters.shape[1], dt_s, kept, room)
+        self.functions.chain_prepare(self.code, self.constants, parameters, parameters.shape[1], dt_s, kept, room)
         return kept
 
     def simulate(self, kept: Array, states: Array, commands: Array) -> Array:
-        """Outputs (T, N) of N rows under commands (T, N); states (S, N) are overwritten by the last ones."""
-        samples, rows = commands.shape
-        outputs = np.empty((samples, rows))
-        stride = _strides(0, rows, 1)
+        """Outputs of N rows under commands (T, N); states (S, N) are overwritten by the last ones.
+
+        Several inputs or outputs: commands (inputs, T, N), outputs (outputs, T, N); one: (T, N).
+        """
+        samples, rows = commands.shape[-2:]
+        outputs = np.empty((self.outputs, samples, rows))
+        stride = _strides(samples * rows, rows, 1)
         self._run(kept, rows, samples, commands, stride, states, _strides(rows, 1), 1, outputs, stride)
-        return outputs
+        return outputs if self.outputs > 1 else outputs[0]
 
     def simulate_rows(self, kept: Array, states: Array, commands: Array) -> Array:
         """The same with rows first: commands and outputs (N, T), states (N, S)."""
@@ -103,7 +106,9 @@ class ChainCode:
         """Outputs (N, H) of plans (N, H), all from one state (S,)."""
         rows, samples = plans.shape
         outputs = np.empty((rows, samples))
-        self._c.chain_roll_out(self.code, kept, state, rows, samples, plans, outputs, _memory(self._bytes(rows, 0)))
+        self.functions.chain_roll_out(
+            self.code, kept, state, rows, samples, plans, outputs, _memory(self._bytes(rows, 0))
+        )
         return outputs
 
     def _bytes(self, rows: int, directions: int) -> int:
@@ -111,41 +116,42 @@ class ChainCode:
         key = (rows > 1, directions)
         if key not in self._known_bytes:
             self._known_bytes[key] = max(
-                self._c.chain_bytes(self.code, n, directions) for n in ((1,) if rows < 2 else range(2, 17))
+                self.functions.chain_bytes(self.code, n, directions) for n in ((1,) if rows < 2 else range(2, 17))
             )
         return self._known_bytes[key]
 
     def _run(self, kept: Array, rows: int, samples: int, u: Array, us: Whole, x: Array, xs: Whole, moves: int,
              y: Array, ys: Whole) -> None:  # fmt: skip
         memory = _memory(self._bytes(rows, 0))
-        self._c.chain_simulate(self.code, kept, kept.shape[1], rows, samples, u, us, x, xs, moves, y, ys, memory)
+        self.functions.chain_simulate(self.code, kept, kept.shape[1], rows, samples, u, us, x, xs, moves, y, ys, memory)
 
     def differentiate(
         self, kept: Array, first: Whole, u: Array, du: Array | None, seeds: Array, states: Array, slopes: Array
     ) -> tuple[Array, Array]:
-        """Outputs (T,) and derivatives (T, D) of runs laid end to end; one input and one output.
+        """Outputs (T,) and derivatives (T, D) of runs laid end to end; several outputs: (outputs, T), (outputs, T, D).
 
         Args:
             first: first sample of each run, and T (N + 1,).
-            u, du: input (T,) and its derivative (T, D); None for zero.
+            u, du: input (T,) or inputs (inputs, T), and derivative (T, D) or (inputs, T, D); None for zero.
             seeds: derivative of the parameters (P, D).
             states, slopes: before the first samples (S, N), and their derivatives (S, N, D).
         """
         directions, rows = seeds.shape[1], first.size - 1
-        y, dy = np.empty(u.size), np.empty((u.size, directions))
+        samples = u.shape[-1]
+        y, dy = np.empty((self.outputs, samples)), np.empty((self.outputs, samples, directions))
         memory = _memory(self._bytes(rows, directions))
-        self._c.chain_differentiate(
+        self.functions.chain_differentiate(
             self.code, kept, rows, first, u, du, directions, seeds, states, slopes, y, dy, memory
         )
-        return y, dy
+        return (y, dy) if self.outputs > 1 else (y[0], dy[0])
 
     def rest(
         self, stage: int, u: Array, du: Array, seen: Array, by_seen: Array, parameters: Array, seeds: Array, x: Array,
         m: Array
     ) -> None:  # fmt: skip
         """Fill x (S, N) and m (S, N, D), states of one stage at rest at input u and output `seen`, and derivatives."""
-        room = np.empty(self._c.chain_rest_room(self.code, stage))
-        self._c.chain_rest(
+        room = np.empty(self.functions.chain_rest_room(self.code, stage))
+        self.functions.chain_rest(
             self.code, self.constants, stage, u.size, u, du, seen, by_seen, parameters, parameters.shape[1],
             seeds.shape[1], seeds, x, m, room
         )  # fmt: skip
@@ -156,24 +162,24 @@ class ChainCode:
         y, dy = np.empty(size), np.empty((size, size))
         key = (size,)
         if key not in self._known_bytes:
-            self._known_bytes[key] = self._c.chain_linearise_bytes(self.code, size)
-        self._c.chain_linearise(self.code, kept, state, plan, size, y, dy, _memory(self._known_bytes[key]))
+            self._known_bytes[key] = self.functions.chain_linearise_bytes(self.code, size)
+        self.functions.chain_linearise(self.code, kept, state, plan, size, y, dy, _memory(self._known_bytes[key]))
         return y, dy
 
     def step(self, kept: Array, state: Array, u: float) -> tuple[float, Array]:
         """Output of one sample, and the next state (S,)."""
         following = np.array(state, dtype=np.float64)
-        return float(self._c.chain_step(self.code, kept, following, u, _memory(self._single))), following
+        return float(self.functions.chain_step(self.code, kept, following, u, _memory(self._single))), following
 
     def command_for(self, kept: Array, state: Array, wanted: float, low: float, high: float, last: float) -> float:
         """Command in [low, high] whose next output is `wanted`."""
         memory = _memory(self._single)
-        return float(self._c.chain_command_for(self.code, kept, state, wanted, low, high, last, memory))
+        return float(self.functions.chain_command_for(self.code, kept, state, wanted, low, high, last, memory))
 
     def follow(self, kept: Array, state: Array, wanted: Array, last: float, bounds: Array, inverted: Array) -> Array:
         """Commands (2, H) along the angles `wanted` (H,): within the box alone, and within the rate limit too."""
         plans, memory = np.empty((2, wanted.size)), _memory(self._single)
-        self._c.chain_follow(self.code, kept, state, wanted, wanted.size, last, bounds, inverted, plans, memory)
+        self.functions.chain_follow(self.code, kept, state, wanted, wanted.size, last, bounds, inverted, plans, memory)
         return plans
 
 

@@ -7,7 +7,7 @@ enum operation {
     NEG, FABS, SIGN, SQRT, SQ, TWICE, INV, NOT, EXP, LOG, TANH, SIN, COS, FLOOR, ASSIGN, SELECT
 };
 
-enum { WORDS = 5, ABREAST = 8 };
+enum { WORDS = 5, ABREAST = 4 };
 
 /* The value of one instruction by its arguments a, b, c. Conditions are numbers, 1 or 0, as in CasADi. */
 #define OPERATIONS(DO)                                  \

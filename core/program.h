@@ -40,7 +40,7 @@ typedef struct {
 /* Where the parts of a table lie; answers the number of whole numbers read. */
 int program_read(const int *table, hystmpc_program *p);
 
-/* Instructions on `lanes` numbers a row, a multiple of eight; row r begins at row[r] + at. */
+/* Instructions on `lanes` numbers a row, a multiple of four; row r begins at row[r] + at. */
 void program_lanes(const int *code, int length, real *const *row, int at, int lanes);
 
 /* Instructions on one number a row, sample after sample: row[r] + t for t = first, ..., first + samples - 1. */

@@ -24,8 +24,9 @@ import numpy as np
 
 from hystmpc.core.chain import ChainCode, PreparedChain, StageProgram
 
+from .assignments import Assignments
 from .operators.operator import Operator
-from .program import BINARY, UNARY, Instruction, dense, instructions
+from .program import BINARY, UNARY, dense
 
 CODES = {name: code for code, name in enumerate((*BINARY, *UNARY, "select"))}
 """Number of each operation; `core/program.c` has the same list."""
@@ -153,23 +154,20 @@ class _Single:
 
 
 class _Phases:
-    """Instructions of a step sorted by what they need; values are numbered in the order of the expression."""
+    """Values of a step sorted by what they need."""
 
     def __init__(self, function: Any, places: Sequence[tuple[bool, int, int, int]]) -> None:
-        self.steps: list[Instruction] = []
-        self.read: list[tuple[int, ...]] = []
-        self.outputs: list[int] = [0] * function.numel_out(0)
-        self.following: list[int] = [0] * function.numel_out(1)
-        slopes: list[int] = [0] * function.numel_out(2)
-        self._number(function, slopes)
+        self.values = Assignments(function)
+        self.steps, self.read = self.values.steps, self.values.read
+        self.outputs, self.following, slopes = self.values.results
         self.terms = [_Term(*place, value) for place, value in zip(places, slopes, strict=True)]
-        self._choose()
         self.known = self._known_states()
-        by_state = self._needs(_STATE, unless=self.known)
-        own = [not a and not b for a, b in zip(self._needs(_STATE), self._needs(_INPUT), strict=True)]
-        plain = self._behind([*self.outputs, *self.following])
-        wanted = self._behind([*self.outputs, *self.following, *slopes])
-        next_state, count = self._behind(self.following), len(self.steps)
+        by_state = self.values.needs(_STATE, unless=self.known)
+        changes = zip(self.values.needs(_STATE), self.values.needs(_INPUT), strict=True)
+        own = [not a and not b for a, b in changes]
+        plain = self.values.behind([*self.outputs, *self.following])
+        wanted = self.values.behind([*self.outputs, *self.following, *slopes])
+        next_state, count = self.values.behind(self.following), len(self.steps)
         inner = [v for v in range(count) if wanted[v] and self.steps[v].name not in ("input", "const")]
         self.once = [v for v in inner if own[v]]
         self.ahead = self._in_order([v for v in inner if plain[v] and not own[v] and not by_state[v]])
@@ -181,52 +179,11 @@ class _Phases:
         self.kept = sorted({v for v in used if own[v]})
         self.constants = [step.value for step in self.steps if step.name == "const"]
 
-    def _number(self, function: Any, slopes: list[int]) -> None:
-        """Single assignments; equal constants and inputs are one value."""
-        where: dict[int, int] = {}
-        known: dict[Any, int] = {}
-        results = (self.outputs, self.following, slopes)
-        for step in instructions(function):
-            if step.name == "output":
-                results[step.out[0]][step.out[1]] = where[step.args[0]]
-                continue
-            leaf = step.name in ("input", "const")
-            key = (step.name, step.args, step.value) if leaf else None
-            if key is None or key not in known:
-                self.steps.append(step)
-                self.read.append(() if leaf else tuple(where[a] for a in step.args))
-                if key is not None:
-                    known[key] = len(self.steps) - 1
-            where[step.out[0]] = len(self.steps) - 1 if key is None else known[key]
-
-    def _choose(self) -> None:
-        """One instruction for `c ? a : b`, which CasADi writes as `if_else_zero(c, a) + if_else_zero(not c, b)`.
-
-        Where c compares a and b themselves that is the smaller or the greater of them.
-        """
-        for v, step in enumerate(self.steps):
-            if step.name != "add":
-                continue
-            one, other = self.read[v]
-            if self.steps[one].name != "if_else_zero" or self.steps[other].name != "if_else_zero":
-                continue
-            (c, a), (d, b) = self.read[one], self.read[other]
-            if self.steps[c].name == "not" and self.read[c][0] == d:
-                c, a, d, b = d, b, c, a
-            if self.steps[d].name != "not" or self.read[d][0] != c:
-                continue
-            compared = self.read[c] if self.steps[c].name == "le" else ()
-            if compared in ((a, b), (b, a)):
-                name, read = ("fmin" if compared == (a, b) else "fmax"), (a, b)
-            else:
-                name, read = "select", (c, a, b)
-            self.steps[v], self.read[v] = Instruction(name, step.out, step.args), read
-
     def _known_states(self) -> list[int]:
         """States that are known ahead, since the next one needs the input and such states alone, as in a delay."""
         known: list[int] = []
         while True:
-            needs = self._needs(_STATE, unless=known)
+            needs = self.values.needs(_STATE, unless=known)
             more = [i for i, v in enumerate(self.following) if i not in known and not needs[v]]
             if not more:
                 return known
@@ -236,30 +193,9 @@ class _Phases:
         """Values of phase `ahead`, those first that known states need, so that a state is there before it is read."""
         order: list[int] = []
         for i in self.known:
-            needed = self._behind([self.following[i]])
+            needed = self.values.behind([self.following[i]])
             order += [v for v in ahead if needed[v] and v not in order]
         return order + [v for v in ahead if v not in order]
-
-    def _needs(self, argument: int, unless: Sequence[int] = ()) -> list[bool]:
-        """Whether each value changes with an argument, some of its entries left out."""
-        needs: list[bool] = []
-        for step, read in zip(self.steps, self.read, strict=True):
-            if step.name == "input":
-                needs.append(step.args[0] == argument and step.args[1] not in unless)
-            else:
-                needs.append(any(needs[a] for a in read))
-        return needs
-
-    def _behind(self, values: Sequence[int]) -> list[bool]:
-        """Whether each value is needed for some."""
-        needed = [False] * len(self.steps)
-        for v in values:
-            needed[v] = True
-        for v in range(len(self.steps) - 1, -1, -1):
-            if needed[v]:
-                for a in self.read[v]:
-                    needed[a] = True
-        return needed
 
     def table(self, sizes: Sequence[int]) -> list[int]:
         """The numbers of `core/program.h`; sizes: states, inputs, parameters, outputs."""
@@ -295,9 +231,9 @@ class _Phases:
             if step.name == "input" and step.args[0] in place:
                 of[v] = place[step.args[0]] + step.args[1]
         slope = next((t.value for t in self.terms if t.of_output and t.by == _U and t.row == 0), -1)
-        shown = self._behind([*self.outputs, *([slope] if slope >= 0 else [])])
-        all_needed, by_input = self._behind([*self.outputs, *self.following]), self._needs(_INPUT)
-        by_state = self._needs(_STATE)
+        shown = self.values.behind([*self.outputs, *([slope] if slope >= 0 else [])])
+        all_needed, by_input = self.values.behind([*self.outputs, *self.following]), self.values.needs(_INPUT)
+        by_state = self.values.needs(_STATE)
         moves = [
             v
             for v, step in enumerate(self.steps)
@@ -383,7 +319,7 @@ class _Rows:
         """Phase `ahead` with copies into known states, each behind what it copies and before what reads the state."""
         p, result, done = self._phases, [], 0
         for i in p.known:
-            needed = p._behind([p.following[i]])
+            needed = p.values.behind([p.following[i]])
             until = max((k + 1 for k, v in enumerate(p.ahead) if needed[v]), default=0)
             result += code[done:until]
             done = max(done, until)
