@@ -30,12 +30,11 @@ from .steps import (
 )
 
 PARTS = (
+    "tables",
     "model",
     "network",
     "state",
-    "basis",
-    "learning",
-    "estimator",
+    "observer",
     "qp",
     "program",
     "planner",
@@ -43,7 +42,12 @@ PARTS = (
     "feedback",
     "controller",
 )
-"""The hand-written files `codegen/c/*.c`, in the order in which they are laid end to end."""
+"""The files `codegen/c/*.c`, in the order in which they are laid end to end behind those of the engine."""
+_ENGINE: Mapping[str, tuple[str, ...]] = {
+    "senses": ("estimator.h", "estimator.c"),
+    "learns": ("learned_state.h", "basis.h", "learning.h", "basis.c", "learning.c"),
+}
+"""The engine's files `core/*` that a controller takes where its size of that name is not zero."""
 
 # Thresholds for solved, dependent or equal, in double and in single precision; None where `problem` has the number.
 _TOLERANCES: Mapping[str, tuple[float | None, float]] = {
@@ -55,8 +59,6 @@ _TOLERANCES: Mapping[str, tuple[float | None, float]] = {
     "violation": (1e-6, 1e-5),
     "rounding": (1e-9, 1e-5),
     "grain": (1e-7, 1e-5),
-    "least_weight": (1e-300, 1e-30),
-    "edge": (None, 1e-6),
 }
 _CHANGES = 1000  # of the active set in one program
 _MOST_SAMPLES = 1_000_000_000
@@ -120,36 +122,30 @@ def export_controller(
     problem = problem_of(settings, home if folder is None else folder)
     sizes, numbers = _sizes(problem, single), _numbers(problem, single)
     models = _models(problem)
-    public, internal = _template("hystmpc.h"), _template("internal.h")
-    texts = {name: _template(f"{name}.c") for name in PARTS if name != "network" or problem.network is not None}
+    files = {"hystmpc.h": _template("hystmpc.h"), "internal.h": _template("internal.h"), **_engine_files(problem.sizes)}
+    files |= {f"{name}.c": _template(f"{name}.c") for name in PARTS if name != "network" or problem.network is not None}
+    made = {"hystmpc_problem.h": sizes, "hystmpc_numbers.h": numbers, "steps.c": f'#include "internal.h"\n\n{models}'}
     head = (
         f"/* {problem.words}\n * Written by hystmpc {version('hystmpc')}; any change is lost at the next export. */\n"
     )
-    header = head + public.replace('#include "hystmpc_problem.h"\n', sizes)
+    left = {**files, **made}
+    header = head + _inlined(left.pop("hystmpc.h"), left)
+    mains = ["internal.h", "steps.c", *(name for name in files if name.endswith(".c"))]
     source_text = "\n".join(
         [
             head + "#define HYSTMPC_ONE_FILE\n#define HYSTMPC_LOCAL static\n#define HYSTMPC_SHARED static",
-            internal.replace('#include "hystmpc_numbers.h"\n', numbers),
-            models,
-            *(_without_includes(text) for text in texts.values()),
+            *(_inlined(left.pop(name), left) for name in mains),
         ]
     )
     real = ctypes.c_float if single else ctypes.c_double
     macros = {f"HYSTMPC_{name.upper()}": value for name, value in problem.sizes.items()}
-    kinds = structs(public, macros, real)
+    kinds = structs(header, macros, real)
     whole, work = (ctypes.sizeof(kinds[f"hystmpc_{name}"]) for name in ("controller", "work"))
-    parts = {
-        "hystmpc.h": public,
-        "internal.h": internal,
-        "hystmpc_problem.h": _guarded("PROBLEM", sizes),
-        "hystmpc_numbers.h": _guarded("NUMBERS", numbers),
-        "steps.c": '#include "internal.h"\n\n' + models,
-        **{f"{name}.c": text for name, text in texts.items()},
-    }
+    made |= {"hystmpc_problem.h": _guarded("PROBLEM", sizes), "hystmpc_numbers.h": _guarded("NUMBERS", numbers)}
     return ControllerExport(
         header,
         source_text,
-        parts,
+        {**files, **made, "real.h": f'#include "hystmpc_problem.h"\n\n{files["real.h"]}'},
         whole,
         whole - work,
         functions_used(source_text),
@@ -163,8 +159,23 @@ def _template(name: str) -> str:
     return resources.files("hystmpc.codegen").joinpath("c", name).read_text(encoding="utf-8")
 
 
-def _without_includes(text: str) -> str:
-    return re.sub(r'^#include "internal.h"\n', "", text, flags=re.MULTILINE)
+def _engine_files(sizes: Mapping[str, int]) -> Mapping[str, str]:
+    """Text of the engine's files that a controller of these sizes needs, by name, each behind those that it includes."""
+    names = ["real.h", *(name for size, needed in _ENGINE.items() if sizes[size] for name in needed)]
+    folder = resources.files("hystmpc.core")
+    texts = {name: folder.joinpath(name).read_text(encoding="utf-8") for name in names}
+    return {name: text.replace("#ifdef HYSTMPC_SINGLE", "#if HYSTMPC_SINGLE") for name, text in texts.items()}
+
+
+def _inlined(text: str, left: dict[str, str]) -> str:
+    """Text with the text of a header in the place where it is included first, and nothing elsewhere.
+
+    Args:
+        left: files that have not been inlined yet, by name; those inlined here are taken out.
+    """
+    return re.sub(
+        r'^#include "(?!hystmpc\.h)(.+)"\n', lambda found: _inlined(left.pop(found[1], ""), left), text, flags=re.M
+    )
 
 
 def _guarded(name: str, text: str) -> str:
@@ -180,10 +191,7 @@ def _sizes(problem: ControllerProblem, single: bool) -> str:
 
 
 def _numbers(problem: ControllerProblem, single: bool) -> str:
-    suffix = "##f" if single else ""
-    math = "name##f" if single else "name"
-    lines = [f"#define HYSTMPC_REAL(x) x{suffix}", f"#define MATH(name) {math}"]
-    lines += [f"#define HYSTMPC_CHANGES {_CHANGES}", f"#define HYSTMPC_MOST_SAMPLES {_MOST_SAMPLES}"]
+    lines = [f"#define HYSTMPC_CHANGES {_CHANGES}", f"#define HYSTMPC_MOST_SAMPLES {_MOST_SAMPLES}"]
     values = {**problem.numbers, **{k: pair[single] for k, pair in _TOLERANCES.items() if pair[single] is not None}}
     lines += [f"#define HYSTMPC_{name.upper()} {_initialiser(value)}" for name, value in sorted(values.items())]
     return "\n".join([*lines, ""])

@@ -18,6 +18,7 @@ _TYPES: Mapping[str, Any] = {
     "uint32_t": ctypes.c_uint32,
     "int64_t": ctypes.c_int64,
 }
+_SIZE = re.compile(r"^#define (\w+) (\d+)(?![\w.])", re.MULTILINE)
 _NAME = re.compile(r"(\w+)((?:\[[^\]]+\])*)")
 
 
@@ -27,8 +28,9 @@ def structs(header: str, sizes: Mapping[str, int], real: Any) -> Mapping[str, ty
     Args:
         header: text; its conditions are `#if NAME` and `#endif`, its fields of `hystmpc_real`, plain numbers and other
             structs; names of structs begin with `hystmpc_`.
-        sizes: of the macros in conditions and dimensions.
+        sizes: of the macros in conditions and dimensions that the header does not define as a number.
     """
+    sizes = {**{name: int(size) for name, size in _SIZE.findall(header)}, **sizes}
     known: dict[str, Any] = {"hystmpc_real": real, **_TYPES}
     plain = "\n".join(_chosen(re.sub(r"/\*.*?\*/", "", header, flags=re.DOTALL), sizes))
     for body, name in _STRUCT.findall(plain):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hystmpc.models.networks.lstm import GATED_MARK, LstmWeights
+from hystmpc.models.networks.lstm import GATED_MARK
+from hystmpc.models.networks.packed import pack_panels, weights_of
 from hystmpc.trials.errors import ExportError
 
 if TYPE_CHECKING:
@@ -72,32 +73,13 @@ def network_of(model: OnnxModel) -> NetworkC:
             f"export-c: got a model of kind {kind}{more} in an .onnx file, "
             "supported are simulators (.yaml), lstm and gru"
         )
-    # The kernels' compiler is loaded for a network alone.
-    from hystmpc.models.kernels.gru import gru_weights
-    from hystmpc.models.kernels.lstm_vector import pack_panels
-    from hystmpc.models.kernels.vector_emitter import EVEN, LIMIT, ODD
-
-    weights = gru_weights(arrays) if kind == "gru" else LstmWeights.from_arrays(arrays)
-    packed, count = pack_panels(weights, LANES, kind), len(weights.layers)
-    used = [(2 if layer == 0 else 1 + packed.head.size) + packed.head.size for layer in range(count)]
-    rows = [panels[:, : 4 * LANES * height].ravel() for panels, height in zip(packed.weights, used, strict=True)]
-    offset = dict(zip(("u_offset", "u_scale", "theta_offset", "theta_scale"), packed.scaling.tolist(), strict=True))
-    return NetworkC(
-        kind,
-        weights.hidden,
-        count,
-        packed.head.size,
-        model.state_size,
-        np.concatenate(rows),
-        packed.head,
-        {
-            **offset,
-            "head_bias": packed.head_bias,
-            "tanh_limit": np.float32(LIMIT),
-            "tanh_odd": np.array(ODD, np.float32),
-            "tanh_even": np.array(EVEN, np.float32),
-        },
-    )
+    weights = weights_of(kind, arrays)
+    units, scaling = weights.units(LANES), asdict(weights.scaling)
+    head = np.zeros(units, np.float32)
+    head[: weights.hidden] = weights.head
+    numbers = {**scaling, "head_bias": weights.head_bias}
+    panels = pack_panels(weights, LANES)
+    return NetworkC(kind, weights.hidden, len(weights.layers), units, model.state_size, panels, head, numbers)
 
 
 def _array(name: str, values: NDArray[np.float32]) -> Iterator[str]:

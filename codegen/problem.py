@@ -14,8 +14,8 @@ from hystmpc.ctrl.build import build_controller, iterations_of, law_of, learning
 from hystmpc.ctrl.command import CommandLimits, limits_of_model, modelled_limits, narrowed_limits
 from hystmpc.ctrl.estimation.observer import ANGLE_BOUND_DEG, OutputEstimator
 from hystmpc.ctrl.feedback import REFERENCE_DEAD_ZONE_DEG, feedback_gains
+from hystmpc.ctrl.law_tables import MoveBlocking
 from hystmpc.ctrl.learning.predictor import LearnedPredictor
-from hystmpc.ctrl.linearised.planner import MoveBlocking
 from hystmpc.ctrl.mpc import FOLLOWING, Candidates, PredictiveLaw
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.ctrl.planner.settings import TipSettings
@@ -189,8 +189,8 @@ def _behind(drive: Chain | None, at_rest: Mat, warmup: int, companion_held: int 
 
 
 def _check(controller: LinearisedMpcSettings) -> None:
-    if controller.solver != "daqp":
-        raise ExportError(f"export-c: got controller.solver {controller.solver}, supported is daqp: an exact one")
+    if controller.solver != "active_set":
+        raise ExportError(f"export-c: got controller.solver {controller.solver}, supported is active_set: an exact one")
     if controller.estimator.sensor == "intermittent":
         raise ExportError("export-c: got estimator.sensor intermittent, supported are continuous and none")
 
@@ -304,14 +304,11 @@ def _blocking(settings: LinearisedMpcSettings, horizon: int, dt: float) -> dict[
     blocks = settings.blocks(dt)
     assert blocks is not None
     blocking = MoveBlocking(blocks, horizon)
-    matrix = blocking.matrix
-    moves = np.diff(matrix, axis=0, prepend=0.0)
-    weights = settings.weights
     return {
         "block_starts": blocking.starts,
         "block_ends": blocking.ends,
-        "blocking": matrix,
-        "block_constant": 2.0 * (weights.rate * moves.T @ moves + weights.effort * matrix.T @ matrix),
+        "blocking": blocking.matrix,
+        "block_constant": blocking.constant(settings.weights),
     }
 
 

@@ -37,7 +37,7 @@ _TEMPLATES = MappingProxyType(
 _FOLDED: Mapping[str, Callable[..., float]] = MappingProxyType(
     {name: eval(f"lambda a, b=0.0: {text.format('a', 'b')}", {"math": math}) for name, text in SCALAR.items()}
 )
-EXACT = ("sqrt", "rint", "floor", "fmaf")
+EXACT = ("fabs", "sqrt", "rint", "floor", "fmaf")
 """Functions of <math.h> whose results are exact or rounded correctly wherever floating point is IEC 60559."""
 INEXACT = ("exp", "log", "tanh", "sin", "cos", "pow")
 """Functions of <math.h> whose last digits differ from one C library to the next."""

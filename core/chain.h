@@ -70,10 +70,4 @@ HYSTMPC_API long hystmpc_chain_single_bytes(const int *chain);
 HYSTMPC_API double hystmpc_chain_command_for(const int *chain, const real *kept, const real *x, double wanted, double low,
                                              double high, double last, char *memory);
 
-/* The inverse followed along the angles `wanted` (H), each command within [low, high] by the bounds (low, high, reach).
- * plans (2, H): row 0 within the box alone, row 1 also moves by no more than `reach` in a sample. The inverse searches
- * between inverted[0] and inverted[1]. */
-HYSTMPC_API void hystmpc_chain_follow(const int *chain, const real *kept, const real *x, const real *wanted, int samples,
-                                      double last, const real *bounds, const real *inverted, real *plans, char *memory);
-
 #endif

@@ -18,7 +18,7 @@ from .library import engine
 Array = NDArray[np.float64]
 Whole = NDArray[np.intc]
 
-_own = threading.local()
+_local = threading.local()
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,11 +176,30 @@ class ChainCode:
         memory = _memory(self._single)
         return float(self.functions.chain_command_for(self.code, kept, state, wanted, low, high, last, memory))
 
-    def follow(self, kept: Array, state: Array, wanted: Array, last: float, bounds: Array, inverted: Array) -> Array:
-        """Commands (2, H) along the angles `wanted` (H,): within the box alone, and within the rate limit too."""
-        plans, memory = np.empty((2, wanted.size)), _memory(self._single)
-        self.functions.chain_follow(self.code, kept, state, wanted, wanted.size, last, bounds, inverted, plans, memory)
+    def follow(
+        self, kept: Array, state: Array, wanted: Array, last: float, bounds: Array, inverted: Array, network: int | None
+    ) -> Array:
+        """Commands (2, H) along the angles `wanted` (H,): within the box alone, and within the rate limit too.
+
+        Args:
+            network: address of a network beside which the chain runs, see `follow.h`; None for none.
+        """
+        plans, memory = np.empty((2, wanted.size)), _memory(self.functions.follow_bytes(self.code, network))
+        self.functions.follow(
+            self.code, kept, network, state, wanted, wanted.size, last, bounds, inverted, plans, memory
+        )
         return plans
+
+    def lead(
+        self, kept: Array, state: Array, wanted: Array, last: float, reach: float, numbers: Array
+    ) -> tuple[Array, Array, int]:
+        """Inputs (H,) whose outputs come closest to `wanted` (H,), these outputs, and the first that they change."""
+        inputs, outputs = np.empty((2, wanted.size))
+        memory = _memory(self.functions.lead_drive_bytes(self.code, wanted.size))
+        first = self.functions.lead_drive(
+            self.code, kept, state, wanted, wanted.size, last, reach, numbers, inputs, outputs, memory
+        )
+        return inputs, outputs, int(first)
 
 
 @final
@@ -218,9 +237,15 @@ class PreparedChain:
         """Command in [low, high] whose next output is `wanted`."""
         return self.code.command_for(self._kept, _doubles(state), wanted, low, high, last)
 
-    def follow(self, state: Array, wanted: Array, last: float, bounds: Array, inverted: Array) -> Array:
-        """Commands (2, H) along the outputs `wanted` (H,), see `chain.h`."""
-        return self.code.follow(self._kept, _doubles(state), _doubles(wanted), last, bounds, inverted)
+    def follow(
+        self, state: Array, wanted: Array, last: float, bounds: Array, inverted: Array, network: int | None = None
+    ) -> Array:
+        """Commands (2, H) along the outputs `wanted` (H,), see `ChainCode.follow`."""
+        return self.code.follow(self._kept, _doubles(state), _doubles(wanted), last, bounds, inverted, network)
+
+    def lead(self, state: Array, wanted: Array, last: float, reach: float, numbers: Array) -> tuple[Array, Array, int]:
+        """Inputs (H,) that lead a drive along `wanted` (H,), see `ChainCode.lead`."""
+        return self.code.lead(self._kept, _doubles(state), _doubles(wanted), last, reach, numbers)
 
 
 def _doubles(array: Array) -> Array:
@@ -261,7 +286,7 @@ def _strides(*numbers: int) -> Whole:
 
 def _memory(size: int) -> NDArray[np.uint8]:
     """Room of this thread for a call."""
-    memory: NDArray[np.uint8] | None = getattr(_own, "memory", None)
+    memory: NDArray[np.uint8] | None = getattr(_local, "memory", None)
     if memory is None or memory.size < size:
-        memory = _own.memory = np.empty(max(int(size), 1 << 20), dtype=np.uint8)
+        memory = _local.memory = np.empty(max(int(size), 1 << 20), dtype=np.uint8)
     return memory

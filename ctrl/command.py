@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar, final
 import numpy as np
 from pydantic import Field, model_validator
 
+from hystmpc.core.library import engine
 from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.trials.brief import brief
 from hystmpc.trials.config import Positive, Settings
@@ -190,13 +191,14 @@ class CommandLimits:
         return min(max(u if math.isfinite(u) else last, low), high)
 
     def clip_plans(self, plans: Vec, last: float, dt: float) -> Vec:
-        """Return the nearest admissible plans (..., H), limited sample by sample; all samples after a NaN are NaN."""
-        # numba takes longer to import than a planner's first call may
-        from hystmpc.models.inverse.inverses import clip_plans
+        """Return the nearest admissible plans (..., H), limited sample by sample; a NaN stays.
 
+        Commands are rounded to 1e-7 of the greatest move: the slope of a play at its edge, or at rest, depends on the
+        side, which must not depend on rounding errors.
+        """
         admissible: Vec = np.array(plans, dtype=np.float64, order="C")
         rows = admissible.reshape(-1, admissible.shape[-1])
-        clip_plans(rows, self.lower, self.upper, self.rate * dt, last)
+        engine().clip_plans(*rows.shape, self.lower, self.upper, self.rate * dt, last, rows)
         return admissible
 
 

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar, final
+from functools import cached_property
+from typing import Generic, TypeVar, final
 
 import numpy as np
 
+from hystmpc.core.library import engine
 from hystmpc.models.inverse.drive import DrivenInverse
-from hystmpc.models.inverse.inverses import Bounds, Follower, clip_plans, follower_for
-from hystmpc.models.kernels.numba_ import njit
+from hystmpc.models.inverse.inverses import Follower, follower_for
 from hystmpc.models.model import Inverse, Predictor, static_gain
 from hystmpc.trials.types import Vec
 
 from .command import CommandLimits, CommandPlan, ControlInput, Source, Stopwatch, attempt
 from .guarded import Law, Proposal
+from .law_tables import LawTables
 from .learning.predictor import LearnedFollower, LearnedInverse
 from .mpc_settings import HoldSettings, PredictiveSettings, WeightsSettings
 
@@ -27,11 +30,7 @@ HOLD, INVERSE = 0, 1  # rows of the candidates that callers use
 
 FOLLOWING = 5  # rows before those that only search
 
-_ROUNDING = 1e-9  # share of the greatest step, so that rounding does not change by how many samples a plan is postponed
-
-# Shares of the greatest step. Inside what a network has for a dead band its slope may have the wrong sign: the little
-# step that ends an error in a hold is chosen by a trial, not by a gradient.
-_STEPS = (0.125, 0.1875, 0.25, 0.375, 0.5, 0.625, 0.75, 1.0)
+_STEPS = 8  # small steps either way
 
 
 class PlanningError(RuntimeError):
@@ -48,6 +47,19 @@ class PlanningProblem:
     feedforward: Vec  # the inverse plan, from which effort is measured, shape (H,)
     angle_limits: tuple[float, float]  # soft limits of the angle [deg], lower and upper
 
+    @cached_property
+    def task(self) -> int:
+        """Address of the numbers of the problem as the engine takes them: see core/planning.h."""
+        horizon = self.reference.size
+        numbers = np.empty(3 + 2 * horizon)
+        numbers[0] = self.u_last
+        numbers[1], numbers[2] = self.angle_limits
+        numbers[3 : 3 + horizon] = self.reference
+        numbers[3 + horizon :] = self.feedforward
+        known = ctypes.c_char.from_buffer(numbers)  # keeps the numbers
+        self.__dict__["_numbers"] = known  # as long as the address is used
+        return ctypes.addressof(known)
+
 
 @final
 class PlanCost:
@@ -59,24 +71,22 @@ class PlanCost:
     """
 
     def __init__(self, weights: WeightsSettings, horizon: int) -> None:
-        soft = weights.soft_limit if weights.limits_angle else 0.0
-        self._factors = float(weights.rate), float(weights.effort), float(soft)
-        self._tracking = weights.over(horizon)
+        self._tables = LawTables(weights, horizon)
+        self._costs, self._cheapest = engine().costs, engine().cheapest
 
     def __call__(self, plans: Vec, angles: Vec, problem: PlanningProblem) -> Vec:
         """Compute the costs (N,) of the plans (N, H) with angles (N, H); infinite where a prediction is not finite."""
-        values: Vec = costs(*self._arguments(plans, angles, problem))
+        values = np.empty(len(plans))
+        rows = np.ascontiguousarray(plans), np.ascontiguousarray(angles)
+        self._costs(self._tables.address, problem.task, len(plans), *rows, values)
         return values
 
     def best(self, plans: Vec, angles: Vec, problem: PlanningProblem) -> CommandPlan:
-        """Return the cheapest of the plans; its cost is infinite if no prediction is finite."""
-        row, cost = cheapest(*self._arguments(plans, angles, problem))
-        return CommandPlan(plans[row], angles[row], cost)
-
-    def _arguments(self, plans: Vec, angles: Vec, problem: PlanningProblem) -> tuple[Any, ...]:
-        low, high = problem.angle_limits
-        known = problem.reference, problem.feedforward, problem.u_last, self._tracking
-        return plans, angles, *known, *self._factors, low, high
+        """Return the first of the cheapest plans; its cost is infinite if no prediction is finite."""
+        cost = np.empty(1)
+        angles = np.ascontiguousarray(angles)
+        row = self._cheapest(self._tables.address, problem.task, len(plans), plans, angles, cost)
+        return CommandPlan(plans[row], angles[row], float(cost[0]))
 
 
 class Planner(ABC, Generic[P]):
@@ -105,24 +115,23 @@ class Candidates:
     that a dead band is crossed before the reference turns; inverse half ahead, so that the crossing has its middle at
     the turn; the last plan, shifted; reversals: m = 2, 4, ... samples at the greatest rate in either direction and then
     rest; and where the reference rests, small steps: a share of a sample at the greatest rate, either way.
+
+    Inside what a network has for a dead band its slope may have the wrong sign: the little step that ends an error in a
+    hold is chosen by a trial, not by a gradient.
+
+    Attributes:
+        searching: greatest number of plans besides the first five.
     """
 
     def __init__(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits, horizon: int) -> None:
-        self._horizon = horizon
-        reach = limits.rate * predictor.dt
-        self._bounds = Bounds(limits.lower, limits.upper, reach)
+        self._tables = LawTables(WeightsSettings(), horizon, limits, predictor.dt)
         if isinstance(inverse, LearnedInverse):
             self._follower: Follower = LearnedFollower(inverse)
         else:
             self._follower = follower_for(predictor, inverse)
-        self._reversals = _reversals(reach, horizon)
-        steps = np.repeat(reach * np.array(_STEPS)[:, None], horizon, axis=1)
-        self._all = np.concatenate([self._reversals, steps, -steps])
-
-    @property
-    def searching(self) -> int:
-        """Greatest number of plans besides the first five."""
-        return len(self._all)
+        lengths = [2**i for i in range(1, horizon.bit_length()) if 2**i <= max(horizon // 2, 2)]
+        self.searching = 2 * (len(lengths) + _STEPS)
+        self._fill = engine().fill_candidates
 
     def build(self, state: Vec, u_last: float, reference: Vec, remaining: Vec, resting: bool = True) -> Vec:
         """Compute the candidate plans that may follow `u_last`, for the model angles `reference` (H,) [deg].
@@ -133,116 +142,13 @@ class Candidates:
         Raises:
             PlanningError: if the reference is not as long as the horizon.
         """
-        if reference.shape != (self._horizon,):
-            raise PlanningError(f"reference: got {reference.shape} angles, expected ({self._horizon},), the horizon")
-        low, high, reach = self._bounds
-        ramps = self._all if resting else self._reversals
-        plans = np.empty((FOLLOWING + len(ramps), self._horizon))
-        targets = self._follower.follow(state, reference, u_last, self._bounds)
-        fill_candidates(plans, targets, remaining, ramps, u_last, reach)
-        clip_plans(plans, low, high, reach, u_last)
-        return plans
-
-
-def _reversals(reach: float, horizon: int) -> Vec:
-    """Offsets (M, H) from the last command: m = 2, 4, ... samples at the greatest rate, up and down."""
-    lengths = [2**i for i in range(1, horizon.bit_length()) if 2**i <= max(horizon // 2, 2)]
-    ramps = reach * np.minimum(np.arange(1, horizon + 1), np.array(lengths)[:, None])
-    return np.concatenate([ramps, -ramps])
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def run_ahead(plan: Any, reach: float) -> None:
-    """Apply the rate limit backwards in time, in place: every move of the plan (H,) starts early enough to arrive."""
-    for k in range(plan.size - 2, -1, -1):
-        plan[k] = min(max(plan[k], plan[k + 1] - reach), plan[k + 1] + reach)
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def postpone_half(plan: Any, u_last: float, reach: float) -> None:
-    """Delay the first jump of the plan (H,) by half of its duration at the greatest rate, in place."""
-    before = u_last
-    for k in range(plan.size):
-        jump = plan[k] - before
-        if abs(jump) > reach * (1.0 + _ROUNDING):
-            half = int(np.ceil(abs(jump) / reach - _ROUNDING)) // 2
-            for j in range(k, min(k + half, plan.size)):
-                plan[j] = before
-            return
-        before = plan[k]
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def fill_candidates(plans: Any, targets: Any, remaining: Any, ramps: Any, u_last: float, reach: float) -> None:
-    """Fill in the rows of `Candidates` before clipping: five plans and `ramps` (M, H) from the last command.
-
-    targets (2, H): the inverse within the box, and within the rate limit.
-    """
-    horizon, left = plans.shape[1], remaining.size
-    for k in range(horizon):
-        plans[0, k] = u_last
-        plans[1, k] = targets[1, k]
-        plans[2, k] = targets[0, k]
-        plans[3, k] = targets[0, k]
-        if left:
-            plans[4, k] = remaining[min(k, left - 1)]
-        else:
-            plans[4, k] = targets[1, k]
-    postpone_half(plans[3], u_last, reach)
-    run_ahead(plans[2], reach)
-    run_ahead(plans[3], reach)
-    for n in range(ramps.shape[0]):
-        for k in range(horizon):
-            plans[5 + n, k] = u_last + ramps[n, k]
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def costs(
-    plans: Any,
-    angles: Any,
-    reference: Any,
-    inverse: Any,
-    u_last: float,
-    tracking: Any,
-    rate: float,
-    effort: float,
-    soft: float,
-    low: float,
-    high: float,
-) -> Any:
-    """Compute costs (N,) of `PlanCost`, infinite where they are not finite; low, high: the soft angle limits."""
-    totals = np.empty(plans.shape[0])
-    for n in range(plans.shape[0]):
-        total, before = 0.0, u_last
-        for k in range(plans.shape[1]):
-            error, move, off = angles[n, k] - reference[k], plans[n, k] - before, plans[n, k] - inverse[k]
-            total += tracking[k] * error * error + rate * move * move + effort * off * off
-            if soft > 0.0:
-                excess = max(angles[n, k] - high, 0.0) + max(low - angles[n, k], 0.0)
-                total += soft * excess * excess
-            before = plans[n, k]
-        totals[n] = total if np.isfinite(total) else np.inf
-    return totals
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def cheapest(
-    plans: Any,
-    angles: Any,
-    reference: Any,
-    inverse: Any,
-    u_last: float,
-    tracking: Any,
-    rate: float,
-    effort: float,
-    soft: float,
-    low: float,
-    high: float,
-) -> Any:
-    """Return the first plan of the lowest cost, and that cost; see `costs`."""
-    values = costs(plans, angles, reference, inverse, u_last, tracking, rate, effort, soft, low, high)
-    row = np.argmin(values)
-    return row, values[row]
+        horizon = self._tables.horizon
+        if reference.shape != (horizon,):
+            raise PlanningError(f"reference: got {reference.shape} angles, expected ({horizon},), the horizon")
+        plans = np.empty((FOLLOWING + self.searching, horizon))
+        targets = self._follower.follow(state, reference, u_last, self._tables.bounds)
+        count = self._fill(self._tables.address, targets, remaining, remaining.size, u_last, resting, plans)
+        return plans[:count]
 
 
 _LEAVE_SIGMAS = 5.0  # the difference of two independent estimates of one disturbance exceeds this once in 10^4 samples

@@ -1,4 +1,4 @@
-"""Settings of the predictive controllers; imports no solver, which takes long to load."""
+"""Settings of the predictive controllers; imports no solver."""
 
 from __future__ import annotations
 
@@ -156,13 +156,13 @@ class LinearisedMpcSettings(PredictiveSettings):
     Attributes:
         iterations: linearisations per step.
         solver: of the quadratic programs.
-        solver_eps: tolerance of OSQP; DAQP is exact.
+        solver_eps: tolerance of OSQP; the active-set solver is exact.
         move_blocking: samples of each block of moves, see `MoveBlocking`; null lets every sample move, but for a
             preview of more than 20 samples whose length is not given, see `blocks`.
     """
 
     kind: Literal["linearised_mpc"] = "linearised_mpc"
-    solver: Literal["daqp", "osqp"] = "daqp"
+    solver: Literal["active_set", "osqp"] = "active_set"
     solver_eps: Annotated[float, Field(gt=0, le=1e-4)] = 1e-5
     move_blocking: Annotated[tuple[Count, ...], Field(min_length=1)] | None = None
 

@@ -5,145 +5,23 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Any, NamedTuple, final
+from typing import NamedTuple, final
 
 import numpy as np
 
-from hystmpc.models.inverse.inverses import Bounds, clip_plans
-from hystmpc.models.kernels.numba_ import njit
+from hystmpc.core.library import engine
 from hystmpc.models.model import Predictor
 from hystmpc.trials.types import Mat, Vec
 
 from .command import CommandLimits, CommandPlan, Stopwatch
-from .linearised.planner import BlockedQp, MoveBlocking, PlanProgram, TrackingQp
-from .linearised.qp import DaqpOptions, DaqpSolver
+from .law_tables import LawTables, MoveBlocking
+from .linearised.qp import ActiveSetOptions
 from .mpc import PlanCost, Planner, PlanningError, PlanningProblem
 from .mpc_settings import SamplingMpcSettings, WeightsSettings
 
-_SMALL = 1e-12  # squared distance from the start below which a sample is not used
-_RIDGE = 1e-6  # of the fit, as a share of its normal matrix's trace
-_TINY = float(np.finfo(np.float64).tiny)
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def draw_plans(
-    normals: Any,
-    shape: Any,
-    mean: Any,
-    deviations: Any,
-    low: float,
-    high: float,
-    reach: float,
-    u_last: float,
-    plans: Any,
-) -> None:
-    """Draw admissible plans (N, H) = mean + deviations * (w shape), in place; w (N, m) are `normals` made orthogonal.
-
-    shape (m, H); mean (H,); deviations (N, 1) or (1, H).
-    """
-    make_orthogonal(normals)
-    plans[:] = 0.0
-    for n in range(normals.shape[0]):
-        for j in range(normals.shape[1]):
-            add(plans[n], normals[n, j], shape[j])
-    plans[:] = mean + deviations * plans
-    clip_plans(plans, low, high, reach, u_last)
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def make_orthogonal(normals: Any) -> None:
-    """Make each block of m rows of (N, m) orthogonal, in place; every row keeps its length."""
-    count, size = normals.shape
-    squares = np.empty(count)
-    for n in range(count):
-        row = normals[n]
-        squares[n] = product(row, row)
-        for other in range(n - n % size, n):
-            add(row, -product(normals[other], row) / squares[other], normals[other])
-        row *= np.sqrt(squares[n] / product(row, row))
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def fit_columns(
-    plans: Any, angles: Any, commands: Any, start_angles: Any, ends: Any, whitening: Any, columns: Any
-) -> None:
-    """Compute S F^-1 (H, m) in place: the fit of `SampledGaussNewton` to plans (N, H) and angles (N, H).
-
-    ends (m,): last samples of the blocks; whitening (m, m): F^-1, transposed.
-    """
-    size, horizon = ends.size, commands.size
-    normal, products = np.zeros((size, size)), np.zeros((size, horizon))
-    z, column = np.empty(size), np.empty(horizon)
-    for n in range(plans.shape[0]):
-        z[:] = 0.0
-        for j in range(size):
-            add(z, plans[n, ends[j]] - commands[ends[j]], whitening[j])
-        change = angles[n] - start_angles
-        near = 1.0 / max(product(z, z), _SMALL) ** 2
-        for j in range(size):
-            add(normal[j, j:], near * z[j], z[j:])
-            add(products[j], near * z[j], change)
-    # slope zero if no sample has moved
-    ridge = _RIDGE * np.trace(normal) + _TINY
-    for j in range(size):
-        normal[j, j] += ridge
-    solve(normal, products)
-    for i in range(size):
-        column[:] = 0.0
-        for j in range(size):
-            add(column, whitening[i, j], products[j])
-        columns[:, i] = column
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def solve(matrix: Any, right: Any) -> None:
-    """Solve matrix X = right (m, H) in place, by matrix = R'R; of `matrix` only the upper triangle is used."""
-    size = matrix.shape[0]
-    for j in range(size):
-        for i in range(j):
-            factor = -matrix[i, j]
-            add(matrix[j, j:], factor, matrix[i, j:])
-            add(right[j], factor, right[i])
-        root = np.sqrt(matrix[j, j])
-        matrix[j, j:] /= root
-        right[j] /= root
-    for j in range(size - 1, -1, -1):
-        for i in range(j + 1, size):
-            add(right[j], -matrix[j, i], right[i])
-        right[j] /= matrix[j, j]
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def product(a: Any, b: Any) -> Any:
-    """Inner product of two vectors."""
-    total = 0.0
-    for k in range(a.size):
-        total += a[k] * b[k]
-    return total
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def add(target: Any, factor: float, row: Any) -> None:
-    """Add factor * row to target, in place."""
-    for k in range(target.size):
-        target[k] += factor * row[k]
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def weighted_mean(plans: Any, costs: Any, temperature: float) -> Any:
-    """Weighted mean (H,) of plans (N, H), by exp(-(J - J_min) / lambda); see `SamplingMpcSettings`."""
-    lowest = costs.min()
-    scale = max(temperature * (np.median(costs) - lowest), _TINY)
-    total, mean = 0.0, np.zeros(plans.shape[1])
-    for n in range(plans.shape[0]):
-        weight = np.exp((lowest - costs[n]) / scale)
-        total += weight
-        add(mean, weight, plans[n])
-    return mean / total
-
-
 _LEAST = 0.05  # of every direction in the noise, as a share of the strongest, so that the fit covers all of them
-_PARTS = np.array([1.0, 0.6, 0.35, 0.2, 0.1])[:, None]
+_PARTS = 5  # of the fitted step, the whole one first
+_CHANGES = ActiveSetOptions().changes
 _KEPT = 0.3  # share of the elites that take part in the next iteration again (Pinneri et al. 2020)
 
 
@@ -166,7 +44,6 @@ class SamplingPlanner(Planner[SampleCounter]):
     def __init__(self, predictor: Predictor, settings: SamplingMpcSettings, limits: CommandLimits) -> None:
         self._predictor, self._settings = predictor, settings
         horizon, dt = settings.preview_samples(predictor.dt), predictor.dt
-        self._bounds = Bounds(limits.lower, limits.upper, limits.rate * dt)
         self._sigma = settings.deviation(limits.rate * dt)
         blocking = MoveBlocking(settings.blocks(dt), horizon)
         # the same distribution from as few normals as there are blocks
@@ -177,6 +54,8 @@ class SamplingPlanner(Planner[SampleCounter]):
         self._shape = np.ascontiguousarray((blocking.matrix @ factor).T)
         self._cost = PlanCost(settings.weights, horizon)
         self._polish = SampledGaussNewton(settings.weights, limits, blocking, factor, dt)
+        self._tables = LawTables(settings.weights, horizon, limits, dt, more=settings.samples)
+        self._draw, self._clip = engine().draw_plans, engine().clip_plans
 
     def init(self) -> SampleCounter:
         return SampleCounter(0)
@@ -197,11 +76,13 @@ class SamplingPlanner(Planner[SampleCounter]):
         """Admissible plans (N, H) around `mean` (H,), from smooth noise of unit variance times `deviations`."""
         normals = generator.standard_normal((self._settings.samples, len(self._shape)))
         plans = np.empty((len(normals), mean.size))
-        draw_plans(normals, self._shape, mean, deviations, *self._bounds, problem.u_last, plans)
+        sizes, along = (*normals.shape, mean.size), len(deviations) == 1
+        given = self._shape, mean, deviations, along
+        self._draw(*sizes, normals, *given, *self._tables.bounds, problem.u_last, plans)
         return plans
 
     def _admissible(self, plans: Mat, problem: PlanningProblem) -> Mat:
-        clip_plans(plans, *self._bounds, problem.u_last)
+        self._clip(*plans.shape, *self._tables.bounds, problem.u_last, plans)
         return plans
 
     def _cheapest(self, plans: Mat, problem: PlanningProblem) -> CommandPlan:
@@ -223,26 +104,20 @@ class SampledGaussNewton:
     def __init__(
         self, weights: WeightsSettings, limits: CommandLimits, blocking: MoveBlocking, factor: Mat, dt: float
     ) -> None:
-        self._ends = blocking.ends
         self._whitening = np.ascontiguousarray(np.linalg.inv(factor).T)
         single = len(blocking.lengths) == blocking.horizon
-        self._qp: PlanProgram = (
-            TrackingQp(weights, limits, blocking.horizon, dt) if single else BlockedQp(weights, limits, blocking, dt)
-        )
-        self._solver = DaqpSolver(self._qp.pattern, DaqpOptions())
+        self._tables = LawTables(weights, blocking.horizon, limits, dt, None if single else blocking)
+        self._steps = engine().sampled_steps
 
     def plans(self, start: CommandPlan, plans: Mat, angles: Mat, problem: PlanningProblem) -> Mat:
         """Return the full step from `start` and parts of it (5, H), from samples (N, H) and their angles (N, H).
 
         The result is empty, shape (0, H), if the program cannot be solved.
         """
-        columns = np.empty((start.commands.size, self._ends.size))
-        fit_columns(plans, angles, start.commands, start.angles, self._ends, self._whitening, columns)
-        solution = self._solver.solve(self._qp.blocked(problem, start, columns))
-        if not solution.usable:
-            return np.empty((0, start.commands.size))
-        parts: Mat = start.commands + _PARTS * self._qp.deviation(solution.primal)
-        return parts
+        parts, tables = np.empty((_PARTS, start.commands.size)), self._tables
+        samples = len(plans), plans, np.ascontiguousarray(angles), self._whitening
+        known = tables.address, problem.task, *samples, start.commands, start.angles
+        return parts if self._steps(*known, _CHANGES, tables.room, parts) >= 0 else parts[:0]
 
 
 @final
@@ -256,6 +131,7 @@ class PathIntegralPlanner(SamplingPlanner):
 
     def __init__(self, predictor: Predictor, settings: SamplingMpcSettings, limits: CommandLimits) -> None:
         super().__init__(predictor, settings, limits)
+        self._mean = engine().weighted_mean
         self._sigmas = self._sigma * np.geomspace(1.0, settings.finest, settings.samples)[:, None]
 
     def _best(
@@ -281,7 +157,8 @@ class PathIntegralPlanner(SamplingPlanner):
         best = int(costs.argmin())
         sample = CommandPlan(plans[best], angles[best], float(costs[best]))
         polished = self._polish.plans(start, plans, angles, problem)
-        averaged = weighted_mean(plans, costs, self._settings.temperature)
+        averaged, tables = np.empty(self._tables.horizon), self._tables
+        self._mean(*plans.shape, plans, costs, self._settings.temperature, tables.room, averaged)
         tried = self._cheapest(np.vstack((averaged, polished)), problem)
         return min((start, tried, sample), key=lambda p: p.cost)
 

@@ -164,19 +164,19 @@ class _Phases:
         self.known = self._known_states()
         by_state = self.values.needs(_STATE, unless=self.known)
         changes = zip(self.values.needs(_STATE), self.values.needs(_INPUT), strict=True)
-        own = [not a and not b for a, b in changes]
+        constant = [not a and not b for a, b in changes]
         plain = self.values.behind([*self.outputs, *self.following])
         wanted = self.values.behind([*self.outputs, *self.following, *slopes])
         next_state, count = self.values.behind(self.following), len(self.steps)
         inner = [v for v in range(count) if wanted[v] and self.steps[v].name not in ("input", "const")]
-        self.once = [v for v in inner if own[v]]
-        self.ahead = self._in_order([v for v in inner if plain[v] and not own[v] and not by_state[v]])
+        self.once = [v for v in inner if constant[v]]
+        self.ahead = self._in_order([v for v in inner if plain[v] and not constant[v] and not by_state[v]])
         self.through = [v for v in inner if plain[v] and by_state[v] and next_state[v]]
         self.behind = [v for v in inner if plain[v] and by_state[v] and not next_state[v]]
-        self.slopes = [v for v in inner if not plain[v] and not own[v]]
+        self.slopes = [v for v in inner if not plain[v] and not constant[v]]
         used = [a for v in (*self.ahead, *self.through, *self.behind, *self.slopes) for a in self.read[v]]
         used += [*self.outputs, *self.following, *(t.value for t in self.terms)]
-        self.kept = sorted({v for v in used if own[v]})
+        self.kept = sorted({v for v in used if constant[v]})
         self.constants = [step.value for step in self.steps if step.name == "const"]
 
     def _known_states(self) -> list[int]:

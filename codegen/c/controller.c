@@ -7,7 +7,7 @@ static int started(const hystmpc_controller *c) { return c->estimate.started == 
 
 /* A command from outside within the limits on value; `otherwise` where it is no number. */
 static real within_range(real u, real otherwise) {
-    return clamp(finite(u) ? u : otherwise, HYSTMPC_LOWER, HYSTMPC_UPPER);
+    return clamp(is_finite(u) ? u : otherwise, HYSTMPC_LOWER, HYSTMPC_UPPER);
 }
 
 /* The law has done nothing yet. */
@@ -32,7 +32,8 @@ int hystmpc_init(hystmpc_controller *c, hystmpc_real angle_deg, hystmpc_real com
     }
 #if HYSTMPC_LEARNS
     c->estimate = c->plain;
-    learning_init(&c->learning, c->plain.angles[0], command, angle_deg);
+    hystmpc_learning_init(&hystmpc_learns, c->learning.past, &c->learning.filters, c->plain.angles[0], command, angle_deg);
+    fill(c->learning.added, R(0.0), HYSTMPC_UNDER_WAY);
 #endif
     forget(c);
     c->due = c->target = angle_deg;
@@ -54,10 +55,9 @@ void hystmpc_stop(hystmpc_controller *c) {
 /* The whole's angles from those of the model alone and what is learned. */
 static void put_together(hystmpc_controller *c) {
     hystmpc_estimate *whole = &c->estimate;
-    for (int k = 0; k < HYSTMPC_UNDER_WAY; k++) {
-        c->learning.added[k] = learning_added(&c->learning, c->plain.angles[k], HYSTMPC_DELAY - k);
-        whole->angles[k] = c->plain.angles[k] + c->learning.added[k];
-    }
+    hystmpc_learning *l = &c->learning;
+    hystmpc_learning_added(&hystmpc_learns, l->past, &l->filters, c->plain.angles, l->added);
+    for (int k = 0; k < HYSTMPC_UNDER_WAY; k++) whole->angles[k] = c->plain.angles[k] + l->added[k];
 }
 
 /* Model, learned part and disturbance corrected. Where weights change the disturbance takes up the difference, so that
@@ -65,28 +65,30 @@ static void put_together(hystmpc_controller *c) {
 static void correct(hystmpc_controller *c, real y) {
     hystmpc_estimate *whole = &c->estimate, *plain = &c->plain;
     const real angle = usable_angle(y), offset = angle - whole->angles[0];
-    const real reach = HYSTMPC_OUTLIER + learning_reach(&c->learning);
+    hystmpc_learning *l = &c->learning;
+    const real reach = HYSTMPC_OUTLIER + hystmpc_learning_reach(&hystmpc_learns, l->past), before = l->added[0];
     if (!(absolute(offset - whole->disturbance) <= HYSTMPC_OUTLIER || absolute(angle - whole->measured) <= reach)) {
         whole->missing = later(whole->missing);
         return;
     }
-    learning_correct(&c->learning, angle, plain->angles[0], plain->disturbance);
+    hystmpc_learning_correct(&hystmpc_learns, l->past, &l->filters, angle, plain->angles[0], plain->disturbance);
     estimate_correct(plain, angle);
     plain->measured = whole->measured = angle;
     plain->missing = whole->missing = 0;
-    const real change = learning_added(&c->learning, plain->angles[0], HYSTMPC_DELAY) - c->learning.added[0];
-    for (int i = 0; i < HYSTMPC_FILTERS; i++) whole->bank[0][i] -= change;
-    if (plain->responsive[0]) bank_correct(whole->bank, offset - change, &whole->disturbance, &whole->variance);
-    else whole->disturbance -= change;
     put_together(c);
+    const real change = l->added[0] - before;
+    for (int i = 0; i < HYSTMPC_FILTERS; i++) whole->bank[0][i] -= change;
+    if (!plain->responsive[0]) whole->disturbance -= change;
+    else whole->variance = hystmpc_noise_correct(&hystmpc_noises, whole->bank[0], offset - change, &whole->disturbance);
 }
 
 static void advance(hystmpc_controller *c, real u) {
     estimate_advance(&c->plain, u);
-    learning_advance(&c->learning, u);
-    c->estimate.variance = bank_advance(c->estimate.bank, c->plain.moves[0], c->estimate.disturbance);
-    c->estimate.command = u;
-    c->estimate.stalled = c->plain.stalled;
+    hystmpc_learning_advance(&hystmpc_learns, c->learning.past, u);
+    hystmpc_estimate *whole = &c->estimate;
+    whole->variance = hystmpc_noise_advance(&hystmpc_noises, whole->bank[0], c->plain.moves[0], whole->disturbance);
+    whole->command = u;
+    whole->stalled = c->plain.stalled;
     put_together(c);
 }
 
@@ -102,8 +104,11 @@ static void look(const hystmpc_controller *c, const real *wanted, given *g) {
     const hystmpc_estimate *e = &c->estimate;
 #if HYSTMPC_LEARNS
     copy(c->plain.model, g->state.model, S);
-    learning_state(&c->learning, &g->state);
-    g->forecast_error = c->learning.forecast_error;
+    hystmpc_learning_state(&hystmpc_learns, c->learning.past, &c->learning.filters, &g->state.learned);
+    g->state.acts = 0;
+    for (int i = 0; i < HYSTMPC_WEIGHTS; i++)
+        if (g->state.learned.weights[i] != R(0.0)) g->state.acts = 1;
+    g->forecast_error = c->learning.filters.forecast_error;
 #else
     copy(e->model, g->state.model, S);
     g->forecast_error = R(0.0);
@@ -158,7 +163,7 @@ static void fall_back(hystmpc_controller *c, const given *g, int blind, proposal
     }
     out->source = HYSTMPC_INVERSE;
     out->u = state_inverse(&g->state, g->reference[0] - g->disturbance, g->u_last);
-    if (finite(out->u)) return;
+    if (is_finite(out->u)) return;
     out->source = HYSTMPC_HOLD;
     out->u = g->u_last;
 }
@@ -177,7 +182,7 @@ static void propose(hystmpc_controller *c, const given *g, proposal *out) {
 #else
     propose_predictive(c, g, out);
 #endif
-    if (out->status == HYSTMPC_OK && !finite(out->u)) out->status = HYSTMPC_NO_COMMAND;
+    if (out->status == HYSTMPC_OK && !is_finite(out->u)) out->status = HYSTMPC_NO_COMMAND;
 }
 
 /* The level to take. */
@@ -219,7 +224,7 @@ static void decide(hystmpc_controller *c, const real *reference, proposal *out) 
 int hystmpc_look_on(hystmpc_controller *c, hystmpc_real angle_deg, hystmpc_real command) {
     if (!started(c)) return 1;
     correct(c, angle_deg);
-    if (finite(usable_angle(angle_deg))) c->due = angle_deg;
+    if (is_finite(usable_angle(angle_deg))) c->due = angle_deg;
     forget(c);
     advance(c, within_range(command, c->estimate.command));
     return c->estimate.stalled;

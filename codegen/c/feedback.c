@@ -4,7 +4,7 @@
 /* The nearest admissible command; the last one where u is no number. */
 HYSTMPC_LOCAL real within_limits(real u, real last) {
     const real at = clamp(last, HYSTMPC_LOWER, HYSTMPC_UPPER);
-    return clamp(finite(u) ? u : last, most(HYSTMPC_LOWER, at - HYSTMPC_REACH), least(HYSTMPC_UPPER, at + HYSTMPC_REACH));
+    return clamp(is_finite(u) ? u : last, most(HYSTMPC_LOWER, at - HYSTMPC_REACH), least(HYSTMPC_UPPER, at + HYSTMPC_REACH));
 }
 
 #if HYSTMPC_SUPERVISED
@@ -100,7 +100,7 @@ HYSTMPC_LOCAL void propose_supervised(hystmpc_controller *c, const given *g, pro
     if (level == PREDICTIVE) propose_predictive(c, g, out);
     else if (level == INVERSE_PID) propose_inverse_pid(&c->feedback, g, out);
     else out->u = correct_pid(&c->feedback, g->setpoint - g->measured, g, HYSTMPC_LOWER);
-    if (out->status == HYSTMPC_OK && !finite(out->u)) out->status = HYSTMPC_NO_COMMAND;
+    if (out->status == HYSTMPC_OK && !is_finite(out->u)) out->status = HYSTMPC_NO_COMMAND;
     if (out->status != HYSTMPC_OK) { /* a failed law remembers nothing */
         c->feedback = before;
         c->holding = holding;

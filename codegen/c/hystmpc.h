@@ -66,17 +66,16 @@ typedef struct {
     int missing;                /* samples since the last accepted measurement */
 } hystmpc_command;
 
+#if HYSTMPC_LEARNS
+#include "learned_state.h"
+#endif
+
 /* The model's memory, and that of what is learned on top of it. */
 typedef struct {
     hystmpc_real model[HYSTMPC_STATES];
 #if HYSTMPC_LEARNS
-    hystmpc_real memory[HYSTMPC_MEMORY];      /* travel, plays, slow followers behind the best drive */
-    hystmpc_real queue[HYSTMPC_DELAYS];       /* commands as shares of the range, the newest first */
-    hystmpc_real weights[HYSTMPC_WEIGHTS];    /* gain, then one a feature */
-    hystmpc_real start[3];                    /* where the device started: travel, side, model angle */
-    hystmpc_real share;                       /* of the way that the lag goes in a sample */
-    int delay;                                /* of the best drive [samples] */
-    int acts;                                 /* whether any weight is not zero */
+    hystmpc_learned learned;
+    int acts;                                 /* whether any of its weights is not zero */
 #endif
 } hystmpc_state;
 
@@ -97,23 +96,11 @@ typedef struct {
 } hystmpc_estimate;
 
 #if HYSTMPC_LEARNS
-/* Kalman filters of the learned weights, one for each drive of a grid, and what their forecasts are worth. */
+/* What is learned on top of the model. */
 typedef struct {
-    hystmpc_real history[HYSTMPC_HISTORY][HYSTMPC_MEMORY][HYSTMPC_LAGS];
-    hystmpc_real queue[HYSTMPC_DELAYS];
-    hystmpc_real start[3];
-    hystmpc_real z[HYSTMPC_DELAYS][HYSTMPC_UNKNOWNS][HYSTMPC_LAGS];
-    hystmpc_real covariance[HYSTMPC_DELAYS][HYSTMPC_TRIANGLE][HYSTMPC_LAGS]; /* lower triangles, row by row */
-    hystmpc_real frozen[HYSTMPC_DELAYS][HYSTMPC_UNKNOWNS][HYSTMPC_LAGS];
-    hystmpc_real references[2];
-    hystmpc_real sums[HYSTMPC_DRIVES + 2];
-    hystmpc_real scores[HYSTMPC_DRIVES + 2];
-    hystmpc_real forecast_error;
-    hystmpc_real share;
+    hystmpc_filters filters;
+    hystmpc_real past[HYSTMPC_PAST];          /* start, last commands, memories behind all lags */
     hystmpc_real added[HYSTMPC_UNDER_WAY];    /* to each of the model's angles */
-    int count;
-    int blocks;
-    int best;
 } hystmpc_learning;
 #endif
 

@@ -3,9 +3,6 @@
 #define HYSTMPC_INTERNAL_H
 
 #include "hystmpc.h"
-
-#include <math.h>
-
 #include "hystmpc_numbers.h"
 
 #ifndef HYSTMPC_LOCAL
@@ -13,9 +10,13 @@
 #define HYSTMPC_SHARED
 #endif
 
-/* A product and a sum rounded each, as in Python; gcc does so under -std=c99. */
-#if defined(__clang__)
-#pragma STDC FP_CONTRACT OFF
+#include "real.h"
+
+#if HYSTMPC_SENSES
+#include "estimator.h"
+#endif
+#if HYSTMPC_LEARNS
+#include "learning.h"
 #endif
 
 /* At the beginning of a line of the cache, so that no vector lies across two. */
@@ -25,18 +26,11 @@
 #define HYSTMPC_AT_A_LINE
 #endif
 
-typedef hystmpc_real real;
-#define R(x) HYSTMPC_REAL(x)
 #define INFINITE ((real)INFINITY)
 
 enum { H = HYSTMPC_HORIZON, S = HYSTMPC_STATES };
 
-HYSTMPC_LOCAL real least(real a, real b);
-HYSTMPC_LOCAL real most(real a, real b);
-HYSTMPC_LOCAL real clamp(real x, real low, real high);
-HYSTMPC_LOCAL real absolute(real x);
 HYSTMPC_LOCAL real root(real x);
-HYSTMPC_LOCAL int finite(real x);
 HYSTMPC_LOCAL int all_finite(const real *x, int count);
 HYSTMPC_LOCAL void copy(const real *from, real *to, int count);
 HYSTMPC_LOCAL void fill(real *to, real value, int count);
@@ -64,6 +58,13 @@ extern const model hystmpc_back; /* dynamics of the angle */
 #endif
 #if HYSTMPC_UNITS
 extern const float hystmpc_weights[], hystmpc_head[];
+#endif
+/* tables.c */
+#if HYSTMPC_SENSES
+extern const hystmpc_noise hystmpc_noises;
+#endif
+#if HYSTMPC_LEARNS
+extern const hystmpc_learner hystmpc_learns;
 #endif
 #endif
 /* The operators that are inverted sample by sample: their step, and the angle with its derivative by the command. */
@@ -153,32 +154,12 @@ HYSTMPC_LOCAL void init_supervisor(hystmpc_controller *c);
 HYSTMPC_LOCAL void propose_supervised(hystmpc_controller *c, const given *g, proposal *out);
 #endif
 
-/* estimator.c */
+/* observer.c */
 enum { HYSTMPC_MARK = 0x48595354 }; /* which nothing else leaves in memory by chance */
 HYSTMPC_LOCAL int later(int samples);
 HYSTMPC_LOCAL real usable_angle(real y);
 HYSTMPC_LOCAL int estimate_init(hystmpc_estimate *e, real y, real u);
 HYSTMPC_LOCAL int estimate_correct(hystmpc_estimate *e, real y);
 HYSTMPC_LOCAL int estimate_advance(hystmpc_estimate *e, real u);
-#if HYSTMPC_SENSES
-HYSTMPC_LOCAL void bank_correct(real bank[3][HYSTMPC_FILTERS], real offset, real *mean, real *variance);
-HYSTMPC_LOCAL real bank_advance(real bank[3][HYSTMPC_FILTERS], real travel, real mean);
-#endif
-
-/* learning.c */
-#if HYSTMPC_LEARNS
-HYSTMPC_LOCAL void learning_init(hystmpc_learning *l, real angle, real u, real y);
-HYSTMPC_LOCAL void learning_advance(hystmpc_learning *l, real u);
-HYSTMPC_LOCAL void learning_correct(hystmpc_learning *l, real y, real angle, real disturbance);
-HYSTMPC_LOCAL real learning_reach(const hystmpc_learning *l);
-HYSTMPC_LOCAL real learning_added(const hystmpc_learning *l, real angle, int back);
-HYSTMPC_LOCAL void learning_state(const hystmpc_learning *l, hystmpc_state *s);
-
-/* basis.c */
-HYSTMPC_LOCAL void advance_memory(real *memory, int abreast, real x, const real *shares);
-HYSTMPC_LOCAL void features(const real *memory, const real *before, int abreast, real v0, real side, real *out);
-HYSTMPC_LOCAL void add_learned(const hystmpc_state *s, const real *commands, int samples, real *angles);
-HYSTMPC_LOCAL void add_slopes(hystmpc_work *w, const hystmpc_state *s, const real *commands);
-#endif
 
 #endif

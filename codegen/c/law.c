@@ -130,7 +130,7 @@ HYSTMPC_LOCAL void propose_predictive(hystmpc_controller *c, const given *g, pro
         state_run_plans(&c->work, &g->state, c->work.plans + first, count - first, c->work.angles + first);
         cheapest(c, &p, first, count, &best);
     }
-    out->status = finite(best.cost) ? HYSTMPC_OK : HYSTMPC_NO_PLAN;
+    out->status = is_finite(best.cost) ? HYSTMPC_OK : HYSTMPC_NO_PLAN;
     if (out->status == HYSTMPC_OK && !c->holding) {
         const real error = farthest(c->work.angles[HELD], H, g->disturbance, c->hold_target);
         out->status = improve(&c->work, &p, &best);

@@ -2,15 +2,9 @@
  * The steps themselves are in the file of the problem, which the export writes from the operators' equations. */
 #include "internal.h"
 
-HYSTMPC_LOCAL real least(real a, real b) { return b < a ? b : a; }
-HYSTMPC_LOCAL real most(real a, real b) { return b > a ? b : a; }
-HYSTMPC_LOCAL real clamp(real x, real low, real high) { return least(most(x, low), high); }
-HYSTMPC_LOCAL real absolute(real x) { return x < R(0.0) ? -x : x; }
-HYSTMPC_LOCAL int finite(real x) { return x - x == R(0.0); }
-
 HYSTMPC_LOCAL int all_finite(const real *x, int count) {
     int found = 1;
-    for (int i = 0; i < count; i++) found &= finite(x[i]);
+    for (int i = 0; i < count; i++) found &= is_finite(x[i]);
     return found;
 }
 

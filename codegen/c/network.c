@@ -1,6 +1,6 @@
 /* A recurrent network in the place of operators, and beside it the operators whose inverse stands in for its own.
- * All products are fused and summed in the order of the inputs, as the vector kernels of Python do, in float as there:
- * both then have equal numbers to the last bit. */
+ * All products are fused and summed in the order of the inputs, as the engine of Python does (core/network.c), in float as
+ * there: both then have equal numbers to the last bit. */
 #include "internal.h"
 
 #if HYSTMPC_UNITS
@@ -105,7 +105,7 @@ static void product(const float *weights, int inputs, int rows, const float *x, 
 /* Numbers within those from where on tanh is one; not-a-number stays. A loop of its own: inside another one a compiler
  * makes branches of it, and no vectors. */
 static void bound(const float *x, float *out, int count) {
-    const float limit = HYSTMPC_TANH_LIMIT;
+    const float limit = 8.50072098F;
     for (int i = 0; i < count; i++) {
         const float below = x[i] > limit ? limit : x[i];
         out[i] = below < -limit ? -limit : below;
@@ -113,15 +113,16 @@ static void bound(const float *x, float *out, int count) {
 }
 
 /* tanh(x) = x P(x^2) / Q(x^2) = odd / even within those bounds, off by at most 2.2e-7 in float; the coefficients are
- * Python's. */
+ * those of core/network.c. */
 static inline float odd(float x) {
-    static const float a[6] = HYSTMPC_TANH_ODD;
+    static const float a[6] = {1.7296555F,      0.234707922F,    0.00645443471F,
+                               4.38413517e-05F, 4.25241105e-08F, -1.40259228e-11F};
     const float s = x * x;
     return x * FUSED(FUSED(FUSED(FUSED(FUSED(a[5], s, a[4]), s, a[3]), s, a[2]), s, a[1]), s, a[0]);
 }
 
 static inline float even(float x) {
-    static const float b[5] = HYSTMPC_TANH_EVEN;
+    static const float b[5] = {1.72965527F, 0.811259866F, 0.0462537706F, 0.000640153361F, 1.91435902e-06F};
     const float s = x * x;
     return FUSED(FUSED(FUSED(FUSED(b[4], s, b[3]), s, b[2]), s, b[1]), s, b[0]);
 }

@@ -33,7 +33,7 @@ HYSTMPC_LOCAL real plan_cost(const problem *p, const real *commands, const real 
 #endif
         before = commands[k];
     }
-    return finite(total) ? total : INFINITE;
+    return is_finite(total) ? total : INFINITE;
 }
 
 /* A plan that is cheaper than `found` takes its place. */
@@ -90,7 +90,7 @@ HYSTMPC_LOCAL int improve(hystmpc_work *w, const problem *p, plan *best) {
         for (int k = 0; k < H; k++) copy(w->jacobian[k], jacobian[k], H);
         build_program(w, p, best);
         for (int i = 0; i < HYSTMPC_QP_MOVES; i++)
-            if (!finite(w->gradient[i]) || !all_finite(w->hessian[i], HYSTMPC_QP_MOVES)) return HYSTMPC_NO_PLAN;
+            if (!is_finite(w->gradient[i]) || !all_finite(w->hessian[i], HYSTMPC_QP_MOVES)) return HYSTMPC_NO_PLAN;
         if (!solve_program(w, primal)) return HYSTMPC_NO_SOLUTION;
         deviation(primal, step);
         for (int k = 0; k < H; k++) step[k] += best->commands[k];

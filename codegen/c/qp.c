@@ -90,7 +90,7 @@ static int activate(hystmpc_work *w, active *set, real *point, int p, real side)
                 blocking = i;
             }
         }
-        if (!finite(step)) return 0;
+        if (!is_finite(step)) return 0;
         own += step;
         for (int i = 0; i < set->count; i++) set->multiplier[i] -= step * answer[i];
         if (blocking < 0) {

@@ -10,6 +10,12 @@ static int state_acts(const hystmpc_state *s) {
 #endif
 }
 
+#if HYSTMPC_LEARNS
+static void add_learned(const hystmpc_state *s, const real *commands, int samples, real *angles) {
+    hystmpc_add_learned(&hystmpc_learns.basis, &s->learned, commands, samples, angles);
+}
+#endif
+
 /* Angles along a plan. */
 HYSTMPC_LOCAL void state_run(const hystmpc_state *s, const real *commands, real *angles) {
     run_model(s->model, commands, H, angles);
@@ -32,7 +38,8 @@ HYSTMPC_LOCAL void state_run_plans(hystmpc_work *w, const hystmpc_state *s, real
 HYSTMPC_LOCAL void state_linearise(hystmpc_work *w, const hystmpc_state *s, const real *commands) {
     linearise_model(w, s->model, commands);
 #if HYSTMPC_LEARNS
-    if (s->acts) add_slopes(w, s, commands);
+    if (s->acts)
+        hystmpc_add_slopes(&hystmpc_learns.basis, &s->learned, commands, H, w->jacobian[0], w->moving[0][0]);
 #endif
 }
 
@@ -90,7 +97,7 @@ static void follow(hystmpc_work *w, const real *x, const real *wanted, real u_la
     }
     for (int k = first; k < H; k++) {
         const real u = middle_command(middle, wanted[k], last);
-        last = clamp(finite(u) ? u : last, HYSTMPC_LOWER, HYSTMPC_UPPER);
+        last = clamp(is_finite(u) ? u : last, HYSTMPC_LOWER, HYSTMPC_UPPER);
         travel[k] = last;
         middle_step(middle, last);
     }
@@ -113,7 +120,7 @@ static void follow(hystmpc_work *w, const real *x, const real *wanted, real u_la
     for (int k = 0; k < H; k++) {
         for (int row = 0; row < rows; row++) {
             const real goal = middle_command(now[row], wanted[k], last[row]);
-            u[row] = clamp(finite(goal) ? goal : last[row], HYSTMPC_LOWER, HYSTMPC_UPPER);
+            u[row] = clamp(is_finite(goal) ? goal : last[row], HYSTMPC_LOWER, HYSTMPC_UPPER);
         }
         if (rows == 1 && absolute(u[0] - last[0]) > HYSTMPC_REACH) {
             rows = 2;
@@ -157,10 +164,7 @@ HYSTMPC_LOCAL void state_advance(hystmpc_state *s, real u) {
     model_step(s->model, u, &angle, next);
     copy(next, s->model, S);
 #if HYSTMPC_LEARNS
-    const real x = (u - HYSTMPC_RANGE_LOW) / HYSTMPC_RANGE_SPAN;
-    advance_memory(s->memory, 1, s->delay > 0 ? s->queue[s->delay - 1] : x, &s->share);
-    for (int k = HYSTMPC_DELAYS - 1; k > 0; k--) s->queue[k] = s->queue[k - 1];
-    s->queue[0] = x;
+    hystmpc_learned_advance(&hystmpc_learns.basis, &s->learned, u);
 #endif
 }
 #endif

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 from collections.abc import Mapping
-from typing import Any, final
+from typing import final
 
 import numpy as np
 
+from hystmpc.core.library import engine
 from hystmpc.models.contract.metadata import NoiseModel
-from hystmpc.models.kernels.numba_ import njit
 from hystmpc.models.model import Predictor
 from hystmpc.trials.types import Vec
 
@@ -24,10 +25,7 @@ _CLOSE = 0.95  # probability that a model is as close as its file says
 _HELD = 0.5  # of that distance: what a disturbance may be uncertain by, since the error of a model changes all the time
 _LEAST_MODEL_DEG = 0.01
 _SWITCHING_S = 20.0  # mean time between changes of the model's error
-_SENSOR_SHARE = 0.2  # of these changes are changes of the sensor too
 _MOST_GAIN = 0.5
-_FREEDOM = 7.0  # of Student's density: (7 + 1) / 2 is a whole power
-_BY_FREEDOM = 1.0 / (_FREEDOM - 2.0)
 _FIRST = 100.0  # variance of the first disturbance in those of the sensor: the first measurements decide
 _TINY = 1e-20  # deg^2: a sigma of zero has no logarithm
 
@@ -61,7 +59,7 @@ class NoiseBank:
     Zafiriou, "Robust process control", 1989, section 2.6).
 
     All sigmas stay on the grid, and every filter is stable. A given sigma is fixed. Where all three are given this is
-    the Kalman filter itself, without a bound of its gain.
+    the Kalman filter itself, without a bound of its gain. The filters are computed by `core/estimator.c`.
 
     Args:
         predictor: of the model, with what its file says about these sigmas.
@@ -91,53 +89,57 @@ class NoiseBank:
         if model_sigma_deg is not None:
             self._by_model = (1.0 - _CLOSE) * self._by_model
             self._by_model[0] += _CLOSE
-        self._prior = np.outer(self._by_sensor, self._by_model).ravel()
         self._switching = predictor.dt / (predictor.dt + _SWITCHING_S)
-        self._most = _MOST_GAIN if self._prior.size > 1 else 1.0
+        self._most = _MOST_GAIN if grid.shape[1] > 1 else 1.0
         first, most = np.full(grid.shape[1], _FIRST * (given[0] or usual) ** 2), np.full(grid.shape[1], limit_deg**2)
         if model_sigma_deg is not None:
             close = (grid[1] == drift[0]) & (grid[2] == motion[0])
             first[close] = most[close] = (_HELD * max(model_sigma_deg, _LEAST_MODEL_DEG)) ** 2
         self._first, self._widest = first, most
+        block = (*self._counts, self._switching, self._most, limit_deg), *self._tables().values()
+        values = np.concatenate(block).tolist()
+        self._numbers, self._size = (ctypes.c_double * len(values))(*values), grid.shape[1]
 
-    def numbers(self) -> Mapping[str, float | Vec]:
-        """Return the numbers of the bank, axis by axis of its grid, for code generation."""
-        sensors, drifts, motions = self._counts
+    def _tables(self) -> Mapping[str, Vec]:
+        """Tables of `hystmpc_noise` in core/estimator.h, in their order."""
+        _, drifts, motions = self._counts
+        models = drifts * motions
         return {
-            "sensors": sensors,
-            "drifts": drifts,
-            "motions": motions,
-            "filters": self._prior.size,
-            "sensor_variances": self._sensor[:: drifts * motions],
-            "drift_variances": self._drift[: drifts * motions : motions],
+            "sensor_variances": self._sensor[::models],
+            "drift_variances": self._drift[:models:motions],
             "motion_variances": self._motion[:motions],
             "by_sensor": self._by_sensor,
             "by_model": self._by_model,
-            "first_variance": float(self._first[0]),
+            "first_variances": self._first[:models],
+            "most_variances": self._widest[:models],
+        }
+
+    def numbers(self) -> Mapping[str, float | Vec]:
+        """Return the numbers of the bank, axis by axis of its grid, for code generation."""
+        return {
+            **dict(zip(("sensors", "drifts", "motions"), self._counts, strict=True)),
+            **self._tables(),
+            "filters": self._size,
             "switching": self._switching,
-            "sensor_share": _SENSOR_SHARE,
             "most_gain": self._most,
             "disturbance_limit": self._limit,
         }
 
     def init(self, disturbance: float) -> tuple[Vec, float]:
         """Return the initial bank (3, M) for a disturbance [deg], rows disturbance, variance, weight; its variance."""
-        bank = np.array([np.full(self._prior.size, disturbance), self._first, self._prior])
-        return bank, float(self._prior @ self._first)
+        bank = np.empty((3, self._size))
+        return bank, engine().bank_init(self._numbers, bank, disturbance)
 
     def correct(self, bank: Vec, offset: float) -> tuple[Vec, float, float]:
         """Measurement update with `offset` = y - model [deg]: the bank, its disturbance [deg] and variance [deg^2]."""
-        after = np.empty_like(bank)
-        mean, variance = correct_filters(
-            bank, self._sensor, self._by_sensor, self._by_model, offset, self._switching, self._most, self._limit, after
-        )
-        return after, mean, variance
+        after, mean = bank.copy(), np.empty(1)
+        variance = engine().bank_correct(self._numbers, after, offset, mean)
+        return after, mean.item(), variance
 
     def advance(self, bank: Vec, travel: float, disturbance: float) -> tuple[Vec, float]:
         """Time update by one sample with command travel `travel` [command unit]: the bank and its variance [deg^2]."""
-        after = np.empty_like(bank)
-        variance = advance_filters(bank, self._drift, self._motion, travel, self._widest, disturbance, after)
-        return after, float(variance)
+        after = bank.copy()
+        return after, engine().bank_advance(self._numbers, after, travel, disturbance)
 
     def estimated_noise(self, bank: Vec) -> NoiseModel:
         """Estimated sigmas: geometric means over the filters."""
@@ -176,90 +178,3 @@ def _axis(given: float | None, known: float, grid: Vec) -> tuple[Vec, Vec]:
     centre = min(max(known, grid[0]), grid[-1])
     weights = np.exp(-0.5 * (np.log(grid / centre) / _PRIOR_SPREAD) ** 2)
     return grid, weights / weights.sum()
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def correct_filters(
-    bank: Any,
-    sensor: Any,
-    by_sensor: Any,
-    by_model: Any,
-    offset: float,
-    switching: float,
-    most: float,
-    limit: float,
-    after: Any,
-) -> tuple[float, float]:
-    """Measurement update of the bank (3, M) into `after`; returns disturbance [deg] and variance [deg^2].
-
-    Args:
-        sensor: variance of each filter's sensor (M,) [deg^2].
-        by_sensor, by_model: prior of the sensors (J,) and of drift and motion (M / J,), sensor by sensor.
-        switching: probability of a change in a sample.
-    """
-    terms = np.empty(sensor.size)
-    for i in range(sensor.size):  # sums have loops of their own: they would keep this one from being vectorised
-        before, noise = bank[1, i], sensor[i]
-        spread, error = before + noise, offset - bank[0, i]
-        by_spread = 1.0 / spread
-        odd = 1.0 + error * error * by_spread * _BY_FREEDOM
-        odd *= odd
-        gain = min(before * by_spread, most)
-        after[0, i] = min(max(bank[0, i] + gain * error, -limit), limit)
-        after[1, i] = (1.0 - gain) * (1.0 - gain) * before + gain * gain * noise
-        after[2, i] = bank[2, i] / (math.sqrt(spread) * odd * odd)
-    total = sum_of(after[2])
-    inner, kept = by_model.size, (1.0 - switching) / total
-    for j in range(by_sensor.size):
-        share = sum_of(after[2, j * inner : (j + 1) * inner])
-        share = switching * ((1.0 - _SENSOR_SHARE) * share / total + _SENSOR_SHARE * by_sensor[j])
-        for i in range(inner):
-            k = j * inner + i
-            after[2, k] = kept * after[2, k] + share * by_model[i]
-            terms[k] = after[2, k] * (after[0, k] - after[0, 0])
-    mean = after[0, 0] + sum_of(terms)
-    return mean, mixed_variance(after, mean, terms)
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def advance_filters(bank: Any, drift: Any, motion: Any, travel: float, widest: Any, mean: float, after: Any) -> float:
-    """Time update of the bank (3, M) into `after`; returns its variance about `mean` [deg^2].
-
-    Args:
-        drift, motion: variance of each filter's walk in a sample, and over one unit of travel (M,).
-        widest: greatest variance of each filter's disturbance (M,) [deg^2].
-    """
-    for i in range(bank.shape[1]):
-        after[0, i] = bank[0, i]
-        after[1, i] = min(bank[1, i] + drift[i] + motion[i] * travel, widest[i])
-        after[2, i] = bank[2, i]
-    return float(mixed_variance(after, mean, np.empty(bank.shape[1])))
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def mixed_variance(bank: Any, mean: float, terms: Any) -> float:
-    """Return the variance of a mixture (3, M) about its mean [deg^2], with its terms (M,) in place."""
-    for i in range(bank.shape[1]):
-        off = bank[0, i] - mean
-        terms[i] = bank[2, i] * (bank[1, i] + off * off)
-    return float(sum_of(terms))
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def sum_of(terms: Any) -> float:
-    """Sum of (M,) in eight partial sums, in the same order as the exported C."""
-    a, b, c, d, e, f, g, h = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    whole = terms.size - terms.size % 8
-    for i in range(0, whole, 8):
-        a += terms[i]
-        b += terms[i + 1]
-        c += terms[i + 2]
-        d += terms[i + 3]
-        e += terms[i + 4]
-        f += terms[i + 5]
-        g += terms[i + 6]
-        h += terms[i + 7]
-    total = ((a + e) + (c + g)) + ((b + f) + (d + h))
-    for i in range(whole, terms.size):
-        total += terms[i]
-    return total

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import ctypes
 from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 
+from hystmpc.core.library import engine
 from hystmpc.models.inverse.inverses import Bounds, Follower, follower_for
 from hystmpc.models.model import Inverse, Predictor, static_gain
 from hystmpc.trials.types import Vec
@@ -14,20 +16,7 @@ from hystmpc.trials.types import Vec
 from ..command import attempt, replace
 from ..estimation.observer import Estimate, EstimatorSettings, Observer, OutputEstimator, usable_angle
 from ..mpc_settings import AdaptationSettings
-from .bank import (
-    DELAYS,
-    FEATURES,
-    LEARNED_SIZE,
-    MEMORY,
-    OF_WEIGHTS,
-    BankState,
-    FilterBank,
-    acting_command,
-    add_learned,
-    add_slopes,
-    advance_memory,
-    first_memory,
-)
+from .bank import LEARNED_SIZE, MEMORY, OF_WEIGHTS, BankState, FilterBank
 
 _ROUNDS = 2
 _RANGE_DEG = 60.0  # angle over the command range, if the model does not state it [deg]
@@ -46,9 +35,8 @@ class LearnedPredictor(Predictor):
         self.model = model
         low, high = model.command_range
         self.slope = attempt(lambda: static_gain(model))[0] or _RANGE_DEG / (high - low)  # a model may fail
-        self._settings, self._low, self._span = settings, low, high - low
+        self._settings, self._span = settings, high - low
         self._bank = self.filters(0)
-        self._known = 1.0 / model.dt, self._bank.creeps, float(low), float(high - low)
 
     def filters(self, delay: int) -> FilterBank:
         """Build the bank that learns the weights, behind `delay` samples of delay that the model does not have."""
@@ -57,45 +45,36 @@ class LearnedPredictor(Predictor):
         return FilterBank(self.dt, self.command_range, scale, sensor, delay, self._settings)
 
     def initial(self, y: float, u: float) -> Vec:
-        v = (u - self._low) / self._span
-        side = 1.0 if v < 0.5 else -1.0
-        part = [first_memory(v, side), np.full(DELAYS, v), np.zeros(1 + FEATURES), [v, side, y, 1.0, 0.0]]
-        return np.concatenate([self.model.initial(y, u), *part])
-
-    def with_learned(self, below: Vec, bank: BankState) -> Vec:
-        """Join the state of the model with that of the learned part at the same instant."""
-        ends = self._bank.lags[bank.lag], float(bank.delay)
-        return np.concatenate([below, bank.history[bank.delay, bank.lag], bank.queue, bank.weights, bank.start, ends])
+        _, part = self._bank.acting(self._bank.init(y, u, y), (y,))
+        return np.concatenate([self.model.initial(y, u), part])
 
     def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
         angle, below = self.model.advance(self.below(state), u)
-        part, plan, angles = state[state.size - LEARNED_SIZE :], np.array([u]), np.array([[angle]])
-        add_learned(part, *self._known, plan[None], angles)
-        after = part.copy()
-        x = acting_command(part, plan, 0, self._low, self._span)
-        advance_memory(after[:MEMORY], x, part[LEARNED_SIZE - 2], self._bank.creeps)
-        after[MEMORY + 1 : MEMORY + DELAYS] = part[MEMORY : MEMORY + DELAYS - 1]
-        after[MEMORY] = (u - self._low) / self._span
-        return float(angles[0, 0]), np.concatenate([below, after])
+        after = np.concatenate([below, state[state.size - LEARNED_SIZE :]])
+        angle = engine().part_advance(ctypes.byref(self._bank.basis), after[below.size :], u, angle)
+        return angle, after
 
     def rollout(self, state: Vec, plans: Vec) -> Vec:
-        angles = np.ascontiguousarray(self.model.rollout(self.below(state), plans))
-        add_learned(state[state.size - LEARNED_SIZE :], *self._known, plans, angles)
-        return angles
+        return self._added(state, plans, np.ascontiguousarray(self.model.rollout(self.below(state), plans)))
 
     def learned(self, state: Vec, plans: Vec) -> Vec:
         """Learned part (N, H) of the angles [deg] along the plans (N, H)."""
         model = self.model.rollout(self.below(state), plans)
-        angles = model.copy()
-        add_learned(state[state.size - LEARNED_SIZE :], *self._known, plans, angles)
-        return angles - model
+        return self._added(state, plans, model.copy()) - model
+
+    def _added(self, state: Vec, plans: Vec, angles: Vec) -> Vec:
+        """Add the learned part to the model's angles (N, H) along plans (N, H), in place."""
+        part, plans = state[state.size - LEARNED_SIZE :], np.ascontiguousarray(plans)
+        engine().part_run(ctypes.byref(self._bank.basis), part, plans, *plans.shape, angles)
+        return angles
 
     def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         angles, jacobian = self.model.linearise(self.below(state), plan)
-        part, angles, jacobian = state[state.size - LEARNED_SIZE :], angles.copy(), np.array(jacobian, order="C")
-        add_learned(part, *self._known, plan[None], angles[None])
-        add_slopes(part, *self._known, plan, jacobian)
-        return angles, jacobian
+        part, plan, horizon = state[state.size - LEARNED_SIZE :], np.ascontiguousarray(plan), plan.size
+        block = np.empty((1 + horizon + MEMORY + 2, horizon))  # angles, jacobian, room for work
+        block[0], block[1 : horizon + 1] = angles, jacobian
+        engine().part_linearise(ctypes.byref(self._bank.basis), part, plan, horizon, block)
+        return block[0], block[1 : horizon + 1]
 
     def below(self, state: Vec) -> Vec:
         """State of the model without the learned part."""
@@ -173,7 +152,7 @@ class LearningEstimator(Observer):
     def init(self, y: float, u: float) -> Estimate:
         model = self._plain.init(y, u)
         bank = self._bank.init(model.angles[0], u, y)
-        return self._whole(model, bank, model.bank, model.disturbance, model.variance)
+        return self._whole(model, bank, self._acting(bank, model), model.bank, model.disturbance, model.variance)
 
     def sigma_ahead_deg(self, estimate: Estimate, travels: Vec) -> Vec:
         return self._plain.sigma_ahead_deg(estimate, travels)
@@ -187,13 +166,14 @@ class LearningEstimator(Observer):
         model = learning.model
         bank = self._bank.correct(learning.bank, angle, model.angles[0], model.disturbance)
         model = replace(self._plain.correct(model, angle), command=estimate.command, measured=angle, missing=0)
-        change = self._bank.added(bank, model.angles[0], self.delay_samples) - learning.added[0]
+        acting = self._acting(bank, model)
+        change = acting[0][0] - learning.added[0]
         noise = estimate.bank.copy()
         noise[0] -= change
         if not model.responsive[0]:  # inside the dead band, where one is set
-            return self._whole(model, bank, noise, estimate.disturbance - change, estimate.variance)
+            return self._whole(model, bank, acting, noise, estimate.disturbance - change, estimate.variance)
         noise, disturbance, variance = self._plain.bank.correct(noise, offset - change)
-        return self._whole(model, bank, noise, disturbance, variance)
+        return self._whole(model, bank, acting, noise, disturbance, variance)
 
     def advance(self, estimate: Estimate, u: float) -> Estimate:
         return self._later(estimate, self._plain.advance(_model(estimate), u), u)
@@ -204,21 +184,34 @@ class LearningEstimator(Observer):
     def _later(self, before: Estimate, model: Estimate, u: float) -> Estimate:
         bank = self._bank.advance(_learning(before).bank, u)
         noise, variance = self._plain.bank.advance(before.bank, model.moves[0], before.disturbance)
-        after = self._whole(model, bank, noise, before.disturbance, variance)
+        acting = self._acting(bank, model)
+        after = self._whole(model, bank, acting, noise, before.disturbance, variance)
         return replace(after, missing=before.missing) if before.missing else after
 
-    def _whole(self, model: Estimate, bank: BankState, noise: Vec, disturbance: float, variance: float) -> Estimate:
-        back = self.delay_samples
-        added = tuple(self._bank.added(bank, angle, back - k) for k, angle in enumerate(model.angles))
+    def _acting(self, bank: BankState, model: Estimate) -> tuple[list[float], Vec]:
+        """Learned part of each of the model's angles [deg], and that of the state."""
+        added, part = self._bank.acting(bank, model.angles)
+        return added.tolist(), part
+
+    def _whole(
+        self,
+        model: Estimate,
+        bank: BankState,
+        acting: tuple[list[float], Vec],
+        noise: Vec,
+        disturbance: float,
+        variance: float,
+    ) -> Estimate:
+        added, part = acting
         return replace(
             model,
-            state=self._predictor.with_learned(model.state, bank),
+            state=np.concatenate([model.state, part]),
             angles=tuple(angle + more for angle, more in zip(model.angles, added, strict=True)),
             disturbance=disturbance,
             variance=variance,
             bank=noise,
             added=added[0],
-            learning=Learning(model, bank, added),
+            learning=Learning(model, bank, tuple(added)),
             forecast_error=bank.forecast_error,
         )
 

@@ -1,55 +1,55 @@
-"""Quadratic programs of one sparsity pattern, and their solvers: DAQP (dual active-set) and OSQP (ADMM)."""
+"""Quadratic programs of one sparsity pattern, and their solvers: the engine's (dual active-set) and OSQP (ADMM)."""
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from threading import local
 from typing import Any, final
 
-import daqp
 import numpy as np
 import osqp
 from numpy.typing import NDArray
 from scipy import sparse
 
-from hystmpc.trials.types import Vec
+from hystmpc.core.library import engine
+from hystmpc.trials.types import Mat, Vec
 
 
 @dataclass(frozen=True, eq=False)
 class QpPattern:
-    """Constant part of a family of programs: sparsity and size of  min 1/2 z'Pz + q'z  s.t.  lower <= A z <= upper.
+    """Constant part of a family of programs.
+
+        min 1/2 z'Pz + q'z + sum_r s_r^2 / (2 c_r)  s.t.  lower <= A z + s <= upper
 
     Attributes:
-        hessian: P, upper triangle in CSC order, with placeholder values.
-        constraints: A in CSC order.
-        moving: positions of the Jacobian's entries in the data of `constraints`; empty without soft limits.
-        bounds: leading rows of A that are those of the identity: bounds on the first entries of z.
+        nonzero: where A may differ from zero, column by column (n, R).
+        soft: rows (R,) that have a variable s; it is zero in the others.
     """
 
-    hessian: sparse.csc_matrix
-    constraints: sparse.csc_matrix
-    moving: NDArray[np.intp]
-    bounds: int
+    nonzero: NDArray[np.bool_]
+    soft: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
 class QpData:
-    """Data of one program that change between steps.
+    """Data of one program.
 
     Attributes:
-        hessian_data: entries of P in the order of the pattern.
-        gradient, lower, upper: q and the bounds of A z.
-        constraint_data: entries of A in the order of the pattern; None while A stays as it is.
-        dual: start values of the multipliers of A z.
+        hessian: P (n, n), of which the lower triangle is used.
+        gradient: q (n,).
+        columns: A, column by column (n, R).
+        lower, upper: bounds (R,) of A z + s.
+        soft: c (R,), zero in rows without s.
+        dual: start values (R,) of the multipliers of A z + s, for iterative solvers.
     """
 
-    hessian_data: Vec
+    hessian: Mat
     gradient: Vec
+    columns: Mat
     lower: Vec
     upper: Vec
-    constraint_data: Vec | None
+    soft: Vec
     dual: Vec
 
 
@@ -74,83 +74,45 @@ class QpSolver(ABC):
         """Solve one program; a failure is reported in the solution, not as an exception."""
 
 
-_DAQP_STATUS = {
-    1: "solved",
-    -1: "primal infeasible",
-    -2: "cycling",
-    -3: "unbounded",
-    -4: "maximum iterations reached",
-    -5: "not convex",
-    -6: "start overdetermined",
-}
-_SOLVED, _OUT_OF_CHANGES = 1, -4
+_STATUS = {-1: "primal infeasible", -2: "not convex", -3: "solution not finite", -4: "maximum changes reached"}
+_OUT_OF_CHANGES = -4
+
+
+def status_of(changes: int) -> str:
+    """Message for an answer of the engine's solver: the number of changes, or why there is no solution."""
+    return _STATUS.get(changes, f"exit flag {changes}") if changes < 0 else "solved"
 
 
 @dataclass(frozen=True)
-class DaqpOptions:
-    """Options of DAQP: the bound on changes of the active set limits the solution time."""
+class ActiveSetOptions:
+    """Options of the engine's exact solver: the bound on changes of the active set limits the solution time."""
 
-    iterations: int = 1000
+    changes: int = 1000
 
-    def solver(self, pattern: QpPattern) -> DaqpSolver:
+    def solver(self, pattern: QpPattern) -> ActiveSetSolver:
         """Return a solver of programs of this pattern."""
-        return DaqpSolver(pattern, self)
+        return ActiveSetSolver(pattern, self)
 
 
 @final
-class DaqpSolver(QpSolver):
-    """Solver DAQP, cold-started: results do not depend on the order of programs (Arnström et al., TAC 2022).
+class ActiveSetSolver(QpSolver):
+    """Exact solver of the engine, a dual active-set method (Goldfarb and Idnani, 1983); see core/qp.c.
 
-    The identity rows are passed as simple bounds. Each thread reuses one workspace, which is made anew after a failure.
+    It starts from no active row, so that results do not depend on the order of programs.
     """
 
-    name = "DAQP"
+    name = "active set"
 
-    def __init__(self, pattern: QpPattern, options: DaqpOptions) -> None:
-        self._pattern, self._options = pattern, options
-        across, down = _positions(pattern.hessian)
-        size = self._size = pattern.hessian.get_shape()[0]
-        self._upper, self._lower = across * size + down, down * size + across
-        across, down = _positions(pattern.constraints)
-        self._rows = across * size + down
-        self._per_thread = local()
+    def __init__(self, pattern: QpPattern, options: ActiveSetOptions) -> None:
+        self._options, self._solve = options, engine().quadratic_program
+        self._unknowns, self._rows = pattern.nonzero.shape
+        self._bytes = int(engine().qp_bytes(self._unknowns, self._rows, int(pattern.soft.sum())))
 
     def solve(self, data: QpData) -> QpSolution:
-        hessian, rows = self._filled(data)
-        answer: Any = daqp.solve(
-            hessian,
-            data.gradient,
-            rows[self._pattern.bounds :],
-            data.upper,
-            data.lower,
-            iter_limit=self._options.iterations,
-        )
-        primal, _, flag, info = answer
-        primal = np.array(primal, dtype=np.float64)
-        finite = math.isfinite(primal.sum())
-        status = _DAQP_STATUS.get(flag, f"exit flag {flag}") if finite else "solution not finite"
-        usable = finite and flag == _SOLVED
-        if not usable:
-            self._per_thread.memory = None
-        return QpSolution(primal, usable, status, int(info["iterations"]), flag == _OUT_OF_CHANGES)
-
-    def _filled(self, data: QpData) -> tuple[Vec, Vec]:
-        memory: tuple[Vec, Vec] | None = getattr(self._per_thread, "memory", None)
-        if memory is None:
-            n, m = self._size, self._pattern.constraints.get_shape()[0]
-            memory = self._per_thread.memory = np.zeros((n, n)), np.zeros((m, n))
-            memory[1].reshape(-1)[self._rows] = self._pattern.constraints.data
-        hessian, rows = memory
-        for half in (self._upper, self._lower):
-            hessian.reshape(-1)[half] = data.hessian_data
-        if data.constraint_data is not None:
-            rows.reshape(-1)[self._rows] = data.constraint_data
-        return hessian, rows
-
-
-def _positions(matrix: Any) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    columns = np.repeat(np.arange(matrix.shape[1]), np.diff(matrix.indptr))
-    return np.asarray(matrix.indices, dtype=np.intp), columns.astype(np.intp)
+        primal, room = np.full(self._unknowns, np.nan), np.empty(self._bytes, dtype=np.uint8)
+        program = data.hessian, data.gradient, data.columns, data.lower, data.upper, data.soft
+        answer = self._solve(self._unknowns, self._rows, *program, self._options.changes, room, primal)
+        return QpSolution(primal, answer >= 0, status_of(answer), max(answer, 0), answer == _OUT_OF_CHANGES)
 
 
 _OSQP_UNFINISHED = "maximum iterations reached"
@@ -190,18 +152,25 @@ class OsqpSolver(QpSolver):
 
     def __init__(self, pattern: QpPattern, options: OsqpOptions) -> None:
         self._pattern, self._options = pattern, options
-        self._origin = np.zeros(pattern.hessian.get_shape()[0])
-        # the last entry of every column of an upper triangle is the one on the diagonal
-        self._diagonal = pattern.hessian.indptr[1:] - 1
+        self._unknowns = len(pattern.nonzero)
+        self._lower = np.tril_indices(self._unknowns)  # row by row, which is the upper triangle column by column
+        self._slacks = np.ones(int(pattern.soft.sum()))
+        self._origin = np.zeros(self._unknowns + self._slacks.size)
         self._per_thread = local()
         self._per_thread.workspace = self._build()
 
     def solve(self, data: QpData) -> QpSolution:
         workspace = getattr(self._per_thread, "workspace", None) or self._build()
         self._per_thread.workspace = None  # a failed workspace may keep what made it fail
-        scale = 1.0 / float(np.mean(data.hessian_data[self._diagonal]))
-        moving = {} if data.constraint_data is None else {"Ax": data.constraint_data}
-        workspace.update(Px=scale * data.hessian_data, q=scale * data.gradient, l=data.lower, u=data.upper, **moving)
+        slacks = 1.0 / data.soft[self._pattern.soft]
+        scale = self._origin.size / float(np.trace(data.hessian) + slacks.sum())
+        workspace.update(
+            Px=scale * np.concatenate([data.hessian[self._lower], slacks]),
+            q=scale * np.concatenate([data.gradient, 0.0 * slacks]),
+            Ax=np.concatenate([data.columns[self._pattern.nonzero], self._slacks]),
+            l=data.lower,
+            u=data.upper,
+        )
         workspace.warm_start(x=self._origin, y=scale * data.dual)
         result, iterations = self._staged(workspace)
         finite = bool(np.all(np.isfinite(result.x)))
@@ -209,7 +178,7 @@ class OsqpSolver(QpSolver):
         usable = finite and status in _USABLE
         if usable:
             self._per_thread.workspace = workspace
-        return QpSolution(result.x, usable, status, iterations, status == _OSQP_UNFINISHED)
+        return QpSolution(result.x[: self._unknowns], usable, status, iterations, status == _OSQP_UNFINISHED)
 
     def _staged(self, workspace: Any) -> tuple[Any, int]:
         """Iterate with one step size after another, each from the result of the last one."""
@@ -224,13 +193,16 @@ class OsqpSolver(QpSolver):
         return result, iterations
 
     def _build(self) -> Any:
-        rows, variables = self._pattern.constraints.get_shape()
+        size, rows = self._pattern.nonzero.shape
+        hessian = [np.triu(np.ones((size, size))), sparse.eye(self._slacks.size)]
+        slacks = sparse.eye(rows, format="csc")[:, self._pattern.soft]
         workspace = osqp.OSQP()
-        # copies: an update writes into the matrices of the set-up, and one that is not finite would stay in the pattern
         workspace.setup(
-            P=self._pattern.hessian.copy(),
-            q=np.zeros(variables),
-            A=self._pattern.constraints.copy(),
+            P=sparse.csc_matrix(sparse.block_diag(hessian, format="csc")),
+            q=self._origin,
+            A=sparse.csc_matrix(
+                sparse.hstack([sparse.csc_matrix(1.0 * self._pattern.nonzero.T), slacks], format="csc")
+            ),
             l=np.full(rows, -1.0),
             u=np.full(rows, 1.0),
             eps_abs=self._options.eps,

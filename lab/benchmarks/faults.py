@@ -41,7 +41,7 @@ _FRAMES = {"sensor": "intermittent", "oldest_frame_s": 0.6, "longest_gap_s": 1.0
 _NONE = {"sensor": "none"}
 CONTROLLERS: dict[str, dict[str, Any]] = {
     "linearised MPC, OSQP": {"kind": "linearised_mpc", "solver": "osqp", "weights": {"angle_upper_deg": 80.0}},
-    "linearised MPC, DAQP": {"kind": "linearised_mpc"},
+    "linearised MPC, active set": {"kind": "linearised_mpc"},
     "sampling MPC, MPPI": {"kind": "sampling_mpc", "samples": 32},
     "sampling MPC, CEM": {"kind": "sampling_mpc", "samples": 32, "method": "cem"},
     "linearised MPC, frames": {"kind": "linearised_mpc", "estimator": _FRAMES},

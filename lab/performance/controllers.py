@@ -14,7 +14,7 @@ from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.command import CommandPlan
 from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.linearised.planner import TrackingQp
-from hystmpc.ctrl.linearised.qp import DaqpOptions, DaqpSolver, OsqpOptions, OsqpSolver, QpData
+from hystmpc.ctrl.linearised.qp import ActiveSetOptions, OsqpOptions, OsqpSolver, QpData
 from hystmpc.ctrl.mpc import PlanCost
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings, WeightsSettings
 from hystmpc.trials.types import Vec
@@ -25,7 +25,7 @@ from .subjects import WEIGHTS, BenchSettings, Clock, Instant, Subject, TimedCall
 
 OURS = "linearised MPC, whole step"
 _SPEED, _TAIL = 60.0, 2.0
-_PROGRAM, _DAQP = "DAQP, cold", "OSQP, updated workspace"
+_PROGRAM, _OSQP = "active set, cold", "OSQP, updated workspace"
 _SAMPLING, _MPPI = "sampling MPC, whole step", "pytorch-mppi, torch nn.LSTM"
 _GOAL = 6.0
 
@@ -122,11 +122,11 @@ def _median(values: Sequence[float]) -> float:
 def program_rows(subject: Subject, settings: BenchSettings, clock: Clock) -> list[Comparison]:
     """Row of the quadratic programs of a recorded scan, each around the last plan shifted by one sample."""
     qp, programs = recorded_programs(subject, settings, WEIGHTS)
-    ours, peer = DaqpSolver(qp.pattern, DaqpOptions()), OsqpSolver(qp.pattern, OsqpOptions())
+    ours, peer = ActiveSetOptions().solver(qp.pattern), OsqpSolver(qp.pattern, OsqpOptions())
     own = TimedCall(_PROGRAM, in_turn(programs, lambda _, p: ours.solve(p)))
-    times = clock.measure([own, TimedCall(_DAQP, in_turn(programs, lambda _, p: peer.solve(p)))])
-    row = Comparison(f"{subject.name}, QP alone H={settings.horizon}", _PROGRAM, _DAQP, Reads.FASTER)
-    row = row.with_times(times.get(_PROGRAM), times.get(_DAQP))
+    times = clock.measure([own, TimedCall(_OSQP, in_turn(programs, lambda _, p: peer.solve(p)))])
+    row = Comparison(f"{subject.name}, QP alone H={settings.horizon}", _PROGRAM, _OSQP, Reads.FASTER)
+    row = row.with_times(times.get(_PROGRAM), times.get(_OSQP))
     if row.times is None or row.other_times is None:
         return [row]
     apart = [float(np.abs(ours.solve(p).primal - peer.solve(p).primal).max()) for p in programs]

@@ -10,7 +10,6 @@ import onnxruntime
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
-from hystmpc.models.kernels.lstm_plain import PlainRoute
 from hystmpc.models.model import Predictor
 from hystmpc.models.prediction.exported import RoutedPredictor
 
@@ -19,8 +18,8 @@ from .subjects import BenchSettings, Clock, Subject, TimedCall, Times
 
 Float32 = NDArray[np.float32]
 _RUN_FLOPS = 2e7  # a run of one job: long enough for the clock, short enough to be interrupted
-_GOAL, _PLAIN_GOAL = 1.0 / 0.6, 1.0 / 0.4  # at least 60 % of the limit, 40 % by the plain route
-_JACOBIAN, _ROLLOUT, _PLAIN = "Jacobian", "roll-outs", "Jacobian by the plain route"
+_GOAL = 1.0 / 0.6  # at least 60 % of the limit
+_JACOBIAN, _ROLLOUT = "Jacobian", "roll-outs"
 
 
 def product_call(a: Float32, b: Float32, threads: int) -> Callable[[], object]:
@@ -124,8 +123,7 @@ def kernel_rows(subject: Subject, settings: BenchSettings, clock: Clock, threads
     """Rows of the Jacobian (one thread only, since it has few rows) and of N roll-outs, relative to the limit.
 
     The limit is the job's unavoidable operations (`jacobian_flops`, `rollout_flops`) at the rate of the best float32
-    matrix product that NumPy's BLAS or onnxruntime makes on as many threads. The plain route's Jacobian has a row of
-    its own where the processor has vectors for a better one.
+    matrix product that NumPy's BLAS or onnxruntime makes on as many threads.
     """
     shapes = products(settings.hidden, settings.samples, settings.horizon)
     jobs = _jobs(subject, settings, threads)
@@ -133,23 +131,21 @@ def kernel_rows(subject: Subject, settings: BenchSettings, clock: Clock, threads
     best = best_rate(shapes, times)
     size = (settings.hidden, 2)
     jacobian = jacobian_flops(*size, settings.horizon)
-    flops = {_JACOBIAN: jacobian, _PLAIN: jacobian, _ROLLOUT: rollout_flops(*size, settings.samples, settings.horizon)}
+    flops = {_JACOBIAN: jacobian, _ROLLOUT: rollout_flops(*size, settings.samples, settings.horizon)}
     names = {
         _JACOBIAN: f"Jacobian H={settings.horizon}",
-        _PLAIN: f"Jacobian H={settings.horizon}, plain route",
         _ROLLOUT: f"{settings.samples} roll-outs",
     }
     rows = []
     for job in jobs:
-        plain = job.name == _PLAIN or (job.name == _JACOBIAN and _route(subject.own) == PlainRoute.name)
         row = Comparison(
             section=f"{subject.name}, kernels, {_threads(threads)}",
             ours=names[job.name],
             other="matrix-product limit",
             reads=Reads.OVER_LIMIT,
-            goal=_PLAIN_GOAL if plain else _GOAL,
+            goal=_GOAL,
             times=times.get(job.name),
-            note="" if job.name == _PLAIN else _route(subject.own),
+            note=_route(subject.own),
         )
         rows.append(_over_limit(row, flops[job.name], best))
     return rows
@@ -163,11 +159,7 @@ def _jobs(subject: Subject, settings: BenchSettings, threads: int) -> list[Timed
     rollouts = TimedCall(_ROLLOUT, lambda: subject.own.rollout(state, plans))
     if threads > 1:
         return [rollouts]
-    jobs = [TimedCall(_JACOBIAN, lambda: subject.own.linearise(state, plans[0])), rollouts]
-    if subject.weights is not None and _route(subject.own) != PlainRoute.name:
-        plain = RoutedPredictor(subject.metadata, "conditioned", PlainRoute(subject.weights))
-        jobs.append(TimedCall(_PLAIN, lambda: plain.linearise(state, plans[0])))
-    return jobs
+    return [TimedCall(_JACOBIAN, lambda: subject.own.linearise(state, plans[0])), rollouts]
 
 
 def _route(predictor: Predictor) -> str:

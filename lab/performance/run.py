@@ -18,7 +18,7 @@ from .kernels import kernel_rows
 from .report import BenchReport, Comparison, Growth
 from .subjects import BenchSettings, Clock, lstm_subject, operator_subjects, thread_limit
 
-_PACKAGES = ("numpy", "numba", "casadi", "osqp", "onnxruntime", "daqp", "torch", "pytorch-mppi")
+_PACKAGES = ("numpy", "numba", "casadi", "osqp", "onnxruntime", "torch", "pytorch-mppi")
 _SECTIONS = 8 + len(GROWTHS)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import Any, NamedTuple, final
+from typing import NamedTuple, final
 
 import numpy as np
 
@@ -12,9 +12,9 @@ from hystmpc.trials.errors import ModelError
 from hystmpc.trials.types import Vec
 
 from ..contract.metadata import ModelMetadata
-from ..kernels.numba_ import njit
 from ..model import Inverse, InvertiblePredictor, LoadedModel, Predictor
 from ..prediction.compiled import CompiledPredictor
+from ..prediction.exported import RoutedPredictor
 from .drive import DrivenInverse
 
 
@@ -221,38 +221,12 @@ def goes_back(inverse: CompiledInverse, predictor: InvertiblePredictor) -> bool:
     return False
 
 
-_GRAIN = 1e-7  # rounding of commands, as share of the greatest move
-
-
 class Bounds(NamedTuple):
     """Least and greatest command, and greatest change per sample [mm or bar]."""
 
     low: float
     high: float
     reach: float
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def clip_plans(plans: Any, lower: float, upper: float, reach: float, last: float) -> None:
-    """Clip plans (N, H) sample by sample to the admissible commands, in place; not-a-number stays.
-
-    Commands are rounded to 1e-7 of the greatest move: the slope of a play at its edge, or at rest, depends on the side,
-    which must not depend on rounding errors.
-    """
-    grain, half = _GRAIN * reach, 0.5 * _GRAIN * reach
-    last = min(max(last, lower), upper)
-    for n in range(plans.shape[0]):
-        before = last
-        for k in range(plans.shape[1]):
-            u = plans[n, k]
-            if u == u:
-                u = np.rint(u / grain) * grain
-                u = lower if u <= lower + half else (upper if u >= upper - half else u)
-                u = min(max(u, before - reach), before + reach)
-                if abs(u - before) <= half and lower < u < upper:
-                    u = before
-            plans[n, k] = u
-            before = u
 
 
 class Follower(ABC):
@@ -292,15 +266,23 @@ class StepwiseFollower(Follower):
 
 @final
 class CompiledFollower(Follower):
-    """Inverse of a chain along a horizon in one call of the engine."""
+    """Inverse along a horizon in one call of the engine, for chains and for networks with a companion chain.
 
-    def __init__(self, inverse: CompiledInverse, chain: CompiledPredictor) -> None:
+    Args:
+        network: network represented by the chain; None for the chain itself.
+    """
+
+    def __init__(
+        self, inverse: CompiledInverse, chain: CompiledPredictor, network: RoutedPredictor | None = None
+    ) -> None:
         self._run, self._inverted = chain.run, np.array([inverse.low, inverse.high])
+        self._route = None if network is None else network.route
 
     def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
-        if not np.isfinite(state).all():
+        if not np.isfinite(state).all():  # a clamp of a network's gates would hide not-a-number
             return np.full((2, wanted.size), u_last)
-        return self._run.follow(state, wanted, u_last, np.array(bounds), self._inverted)
+        address = None if self._route is None else self._route.address
+        return self._run.follow(state, wanted, u_last, np.array(bounds), self._inverted, address)
 
 
 @final
@@ -344,4 +326,8 @@ def follower_for(predictor: Predictor, inverse: Inverse) -> Follower:
         return DrivenFollower(inverse)
     if isinstance(inverse, CompiledInverse) and isinstance(inverse.predictor, CompiledPredictor):
         return CompiledFollower(inverse, inverse.predictor)
+    if isinstance(inverse, CompanionInverse) and isinstance(inverse.inverse, CompiledInverse):
+        network, chain = inverse.predictor.predictor, inverse.inverse.predictor
+        if isinstance(network, RoutedPredictor) and isinstance(chain, CompiledPredictor):
+            return CompiledFollower(inverse.inverse, chain, network)
     return StepwiseFollower(predictor, inverse)

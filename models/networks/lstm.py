@@ -1,4 +1,4 @@
-"""The stacked LSTM: its weights, ONNX nodes and roll-out graph."""
+"""The stacked LSTM: its weights and ONNX nodes."""
 
 from __future__ import annotations
 
@@ -7,15 +7,12 @@ from dataclasses import dataclass, field, fields
 from typing import Self
 
 import numpy as np
-import onnx
 from numpy.typing import ArrayLike
-from onnx import helper
 
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.types import Vec
 
-from ..contract.onnx_nodes import tensor
-from .nodes import FLOAT, GraphWriter, Scaling
+from .nodes import GraphWriter, Scaling
 
 GATED_MARK = "gated.head.weight"
 """Initializer that only an increment-gated LSTM has, see `GatedLstmNet`."""
@@ -175,35 +172,3 @@ def write_layer(writer: GraphWriter, k: int, layer: LstmLayer, x: str) -> list[s
     writer.node("Tanh", [f"c_{k}_next"], f"shown_{k}")
     writer.node("Mul", [f"o_{k}", f"shown_{k}"], f"h_{k}_next")
     return [f"h_{k}_next", f"c_{k}_next"]
-
-
-def lstm_rollout_graph(weights: LstmWeights) -> onnx.GraphProto:
-    """Roll-out graph (u [N,H], state [N,S]) -> theta [N,H] in float32 with the fused operator LSTM; not for CasADi."""
-    hidden, count, writer = weights.hidden, len(weights.layers), GraphWriter()
-    for name, axis in (("first", 0), ("direction", 1), ("last", 2)):
-        writer.indices(name, [axis])
-    writer.node("Transpose", [writer.scale_in(weights.scaling, "u", "v")], "x_time", perm=[1, 0])
-    writer.node("Unsqueeze", ["x_time", "last"], "x_0")
-    writer.split("state", [hidden] * (2 * count), [f"{name}_{k}" for k in range(count) for name in ("h", "c")])
-    for k, layer in enumerate(weights.layers):
-        for s in ("h", "c"):
-            writer.node("Unsqueeze", [f"{s}_{k}", "first"], f"{s}_{k}_start")
-        bias = np.concatenate([_onnx_order(layer.bias), np.zeros(4 * hidden)])
-        parts = (("W", _onnx_order(layer.w_ih)), ("R", _onnx_order(layer.w_hh)), ("B", bias))
-        operands = [f"x_{k}", *(writer.weight(f"{name}_{k}", array[None]) for name, array in parts)]
-        writer.node("LSTM", [*operands, "", f"h_{k}_start", f"c_{k}_start"], f"out_{k}", hidden_size=hidden)
-        writer.node("Squeeze", [f"out_{k}", "direction"], f"x_{k + 1}")
-    head = writer.weight("head.weight", weights.head_weight[:, None]), writer.weight("head.bias", [weights.head_bias])
-    writer.node("MatMul", [f"x_{count}", head[0]], "y_time_0")
-    writer.node("Add", ["y_time_0", head[1]], "y_time_1")
-    writer.node("Squeeze", ["y_time_1", "last"], "y_time")
-    writer.node("Transpose", ["y_time"], "y", perm=[1, 0])
-    writer.scale_out("y")
-    inputs = [tensor("u", "H", FLOAT), tensor("state", weights.state_size, FLOAT)]
-    return helper.make_graph(writer.nodes, "lstm_rollout", inputs, [tensor("theta", "H", FLOAT)], writer.initializers())
-
-
-def _onnx_order(gates: Vec) -> Vec:
-    """Rows reordered from i, f, g, o to the order i, o, f, g of the operator LSTM."""
-    i, f, g, o = np.split(gates, 4)
-    return np.concatenate([i, o, f, g])

@@ -1,36 +1,31 @@
-"""Predictions of exported models: of recurrent networks by compiled kernels, of any other model step by step."""
+"""Predictions of exported models: of recurrent networks by the engine, of any other model step by step."""
 
 from __future__ import annotations
 
 import math
-import os
 from typing import TYPE_CHECKING, Any, final
 
 import casadi as ca
 import numpy as np
 
-from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
 from ..contract.metadata import ModelMetadata, Start
-from ..kernels.network_route import NetworkRoute
-from ..kernels.vector_emitter import SHAPES, VectorShape, host_shape
 from ..model import ModelPredictor
-from ..networks.lstm import GATED_MARK, LstmWeights
+from ..networks.packed import weights_of
+from ..networks.route import NetworkRoute
 
 if TYPE_CHECKING:
     from ..contract.load import OnnxModel
 
-VARIABLE = "HYSTMPC_LSTM_KERNEL"
-
 
 @final
 class RoutedPredictor(ModelPredictor):
-    """Predictions of a recurrent network in single precision by its fastest implementation.
+    """Predictions of a recurrent network in single precision by the engine.
 
     Roll-outs use as many threads as the process gives BLAS. A control process sets one (threadpoolctl), since a second
     one stalls beside a busy neighbour. Results of a command or a state that is not finite are not-a-number: the
-    kernels' gates would hide it.
+    gates would hide it.
     """
 
     def __init__(self, metadata: ModelMetadata, start: Start, route: NetworkRoute) -> None:
@@ -64,61 +59,14 @@ def _finite(state: Vec, plans: Vec) -> bool:
     return math.isfinite(state.sum() + plans.sum())
 
 
-def chosen_shape() -> VectorShape | None:
-    """Shape of the vector kernel for this processor, None where it has none; or the shape chosen by the user.
-
-    Environment variable HYSTMPC_LSTM_KERNEL: `auto`, `plain`, or the name of a shape, `avx512` or `avx2`.
-
-    Raises:
-        ConfigError: if the variable is anything else.
-    """
-    wanted = os.environ.get(VARIABLE) or "auto"
-    if wanted not in ("auto", "plain", *SHAPES):
-        raise ConfigError(f"{VARIABLE}: got {wanted}, available: auto, plain, {', '.join(SHAPES)}")
-    return host_shape() if wanted == "auto" else SHAPES.get(wanted)
-
-
-def chosen_route(weights: LstmWeights) -> NetworkRoute:
-    """Vector kernel in the shape of `chosen_shape`; the plain implementation for None.
-
-    Raises:
-        ConfigError: if HYSTMPC_LSTM_KERNEL names no route.
-    """
-    shape = chosen_shape()
-    if shape is None:
-        from ..kernels.lstm_plain import PlainRoute
-
-        return PlainRoute(weights)
-    from ..kernels.lstm_vector import VectorRoute  # loads only the kernels that are needed
-
-    return VectorRoute(weights, shape)
-
-
 def recurrent_predictor(model: OnnxModel, start: Start = "conditioned") -> RoutedPredictor:
-    """Compiled predictor of a model file of kind `lstm` or `gru`, from the graph's initializers.
+    """Predictor of a model file of kind `lstm` or `gru`, from the graph's initializers.
 
     Raises:
         ModelError: if the initializers are not those of such a network.
-        ConfigError: if HYSTMPC_LSTM_KERNEL names no route.
     """
-    return RoutedPredictor(model.metadata, start, _route(model))
-
-
-def _route(model: OnnxModel) -> NetworkRoute:
-    weights = model.initializers
-    if model.metadata.kind != "gru":
-        if GATED_MARK not in weights:
-            return chosen_route(LstmWeights.from_arrays(weights))
-        from ..kernels.gated import GatedLstmRoute
-
-        return GatedLstmRoute(weights)
-    from ..kernels.gru import GruRoute, gru_weights
-
-    if (shape := chosen_shape()) is None:
-        return GruRoute(weights)
-    from ..kernels.lstm_vector import VectorRoute
-
-    return VectorRoute(gru_weights(weights), shape, cell="gru")
+    weights = weights_of(model.metadata.kind, model.initializers)
+    return RoutedPredictor(model.metadata, start, NetworkRoute(weights))
 
 
 _SPARSE_ENTRIES = 4  # entries in a row of A up to which its product is cheaper than directions through the step
@@ -126,7 +74,7 @@ _SPARSE_ENTRIES = 4  # entries in a row of A up to which its product is cheaper 
 
 @final
 class OnnxPredictor(ModelPredictor):
-    """Predictor of a model file of any kind, for models without compiled kernels.
+    """Predictor of a model file of any kind, for models that the engine does not know.
 
     A roll-out is H runs of the step graph on all plans at once. A linearisation carries the tangents of the state along
     the plan, one column a command,

@@ -197,7 +197,7 @@ class CompiledController(PlannersController):
             answer,
             after.estimate.stalled,
             view.feedback.level if answer.source == _FEEDBACK else 0,
-            view.learning.forecast_error if answer.source == _FEEDBACK else 0.0,
+            view.learning.filters.forecast_error if answer.source == _FEEDBACK else 0.0,
             cause=state.fallback.cause,
             reference=fault,
             stalled=state.estimate.stalled,

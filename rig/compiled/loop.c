@@ -308,7 +308,7 @@ static void step(hystmpc_loop *l, hystmpc_controller *c, double angle, hystmpc_s
     s->level = 0;
 #if HYSTMPC_LEARNS
     s->model_deg -= c->learning.added[0];
-    s->forecast_error = c->learning.forecast_error;
+    s->forecast_error = c->learning.filters.forecast_error;
 #endif
 #if HYSTMPC_SUPERVISED
     s->level = c->feedback.level;

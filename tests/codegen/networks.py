@@ -11,7 +11,6 @@ import pytest
 from hystmpc.models.contract.export import ExportBundle, model_bytes
 from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.models.identify.runs import fixed_rule
-from hystmpc.models.kernels.vector_emitter import host_shape
 from hystmpc.models.motions import flexed
 from hystmpc.models.networks.nodes import Scaling, network_step_graph
 from tests.models.lstm_examples import DT, facts, random_weights
@@ -62,9 +61,3 @@ def _held(step: object, u: float) -> float:
     for _ in range(100):
         angle, state = step.advance(state, np.array([[u]]))  # type: ignore[attr-defined]
     return float(angle.item())
-
-
-def needs_vectors() -> None:
-    """Skip where Python's kernels round otherwise than the C."""
-    if host_shape() is None:
-        pytest.skip("the processor has neither AVX-512 nor AVX2: Python's plain route rounds otherwise than the C")

@@ -21,7 +21,6 @@ from hystmpc.models.simulator import load_simulator, save_simulator
 
 from .compiled import EXAMPLES, SOURCES, Library, library
 from .loops import START, START_DEG, compare
-from .networks import needs_vectors
 
 SAME = 1e-6  # mm
 
@@ -69,8 +68,6 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Library:
 @pytest.mark.parametrize("case", CASES)
 def test_commands_are_those_of_python_for_every_part(case: str, tmp_path: Path) -> None:
     settings_, lag_s = CASES[case]
-    if case.startswith("network"):
-        needs_vectors()
     # Of 1000 samples one stop and one release, at 700 and 730, and three references without a number.
     found = compare(settings_, library(settings_, tmp_path), 760 if case.startswith("network") else 1000, lag_s)
     assert found.greatest <= SAME

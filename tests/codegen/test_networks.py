@@ -12,7 +12,7 @@ from hystmpc.trials.errors import ExportError
 
 from .compiled import NETWORK, STRICT, compilers, library, run_sanitized, tried
 from .loops import compare
-from .networks import needs_vectors, small_network
+from .networks import small_network
 from .test_commands import PLAIN, SAME, tip
 
 # One, two and three layers, of fewer units than a vector, of more, of a whole vector; two of 64 with every part below.
@@ -26,7 +26,6 @@ EVERY_KIND = pytest.mark.parametrize("kind", ["lstm", "gru"])
     ids=str,
 )
 def test_commands_are_those_of_python_for_any_size(size: tuple[str, int, int], tmp_path: Path) -> None:
-    needs_vectors()
     settings = tip(small_network(*size, tmp_path), **PLAIN)
     found = compare(settings, library(settings, tmp_path), 200, seed=2)
     assert found.greatest <= SAME
@@ -36,7 +35,6 @@ def test_commands_are_those_of_python_for_any_size(size: tuple[str, int, int], t
 
 @pytest.mark.slow
 def test_commands_of_a_gru_are_those_of_python_with_every_part(tmp_path: Path) -> None:
-    needs_vectors()
     settings = tip(small_network("gru", 64, 2, tmp_path), 0.08)
     found = compare(settings, library(settings, tmp_path), 750, 0.08)
     assert found.greatest <= SAME
@@ -47,7 +45,6 @@ def test_commands_of_a_gru_are_those_of_python_with_every_part(tmp_path: Path) -
 @EVERY_KIND
 def test_without_fused_instructions_commands_stay_close(kind: str, tmp_path: Path) -> None:
     """The products are then rounded by way of double."""
-    needs_vectors()
     settings = tip(small_network(kind, 20, 1, tmp_path), **PLAIN)
     found = compare(settings, library(settings, tmp_path, options=("-O2",)), 200, seed=2)
     assert found.greatest <= 1e-4

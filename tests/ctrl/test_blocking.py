@@ -8,12 +8,19 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import sparse
 from scipy.linalg import null_space
 
 from hystmpc.ctrl.command import Stopwatch
-from hystmpc.ctrl.linearised.planner import BlockedQp, LinearisedPlanner, MoveBlocking, TrackingQp
-from hystmpc.ctrl.linearised.qp import DaqpOptions, DaqpSolver, OsqpOptions, OsqpSolver, QpData, QpPattern, QpSolution
+from hystmpc.ctrl.law_tables import MoveBlocking
+from hystmpc.ctrl.linearised.planner import BlockedQp, LinearisedPlanner, TrackingQp
+from hystmpc.ctrl.linearised.qp import (
+    ActiveSetOptions,
+    OsqpOptions,
+    OsqpSolver,
+    QpData,
+    QpPattern,
+    QpSolution,
+)
 from hystmpc.ctrl.mpc import PlanCost
 from hystmpc.ctrl.mpc_settings import WeightsSettings
 from hystmpc.trials.errors import ControllerError
@@ -41,19 +48,15 @@ def program(qp: BlockedQp | TrackingQp, case: Case, seed: int, horizon: int = H)
 
 def under_equality(full: TrackingQp, data: QpData, matrix: np.ndarray) -> QpSolution:
     """The full program with rows that hold v in the range of M."""
-    _, rows = dense(full, data)
-    equal = np.zeros((matrix.shape[0] - matrix.shape[1], rows.shape[1]))
-    equal[:, : matrix.shape[0]] = null_space(matrix.T).T
-    none = np.zeros(len(equal))
+    equal = null_space(matrix.T)
+    none = np.zeros(equal.shape[1])
     pattern = QpPattern(
-        full.pattern.hessian, sparse.csc_matrix(np.vstack([rows, equal])), np.empty(0, dtype=np.intp), 0
+        np.hstack([full.pattern.nonzero, np.ones(equal.shape, dtype=bool)]), np.append(full.pattern.soft, none > 0.0)
     )
     more = replace(
         data,
-        lower=np.concatenate([data.lower, none]),
-        upper=np.concatenate([data.upper, none]),
-        dual=np.concatenate([data.dual, none]),
-        constraint_data=None,
+        columns=np.hstack([data.columns, equal]),
+        **{name: np.append(getattr(data, name), none) for name in ("lower", "upper", "soft", "dual")},
     )
     return OsqpSolver(pattern, TIGHT).solve(more)
 
@@ -78,7 +81,7 @@ def test_it_is_the_full_program_under_an_equality(
 ) -> None:
     qp, full = blocked(weights, blocks), TrackingQp(weights, LIMITS, H, DT)
     for seed in range(5):
-        few = DaqpSolver(qp.pattern, DaqpOptions()).solve(program(qp, case, seed))
+        few = ActiveSetOptions().solver(qp.pattern).solve(program(qp, case, seed))
         many = under_equality(full, program(full, case, seed), MoveBlocking(blocks, H).matrix)
         assert few.status == "solved"
         assert many.status in ("solved", "solved inaccurate")  # within ten times 1e-9
@@ -90,7 +93,7 @@ def test_it_is_the_full_program_under_an_equality(
 def test_blocks_of_one_sample_are_no_blocks(case: Case, weights: WeightsSettings) -> None:
     qp, full = blocked(weights, (1,) * H), TrackingQp(weights, LIMITS, H, DT)
     for seed in range(5):
-        ours, theirs = (DaqpSolver(q.pattern, DaqpOptions()).solve(program(q, case, seed)) for q in (qp, full))
+        ours, theirs = (ActiveSetOptions().solver(q.pattern).solve(program(q, case, seed)) for q in (qp, full))
         np.testing.assert_allclose(qp.deviation(ours.primal), full.deviation(theirs.primal), atol=1e-9)
 
 
@@ -99,9 +102,7 @@ def test_program_is_the_planning_cost_where_the_model_is_linear(blocks: tuple[in
     problem, start = posed(LINEAR, H)
     qp, cost = blocked(HARD, blocks), PlanCost(HARD, H)
     data = program(qp, LINEAR, 0)
-    upper = qp.pattern.hessian.copy()
-    upper.data = data.hessian_data
-    p = upper.toarray() + np.triu(upper.toarray(), 1).T
+    p, _, _ = dense(data)
     for w in np.random.default_rng(1).normal(0, 0.2, (10, len(blocks))):
         plans = np.array([start.commands, start.commands + qp.deviation(w)])
         costs = cost(plans, LINEAR.predictor.rollout(problem.state, plans), problem)
@@ -114,7 +115,7 @@ def test_every_sample_is_within_the_limits(blocks: tuple[int, ...], left: int, s
     horizon = sum(blocks) + left
     qp = blocked(HARD, blocks, horizon)
     problem, start = posed(case, horizon, seed)
-    solution = DaqpSolver(qp.pattern, DaqpOptions()).solve(program(qp, case, seed, horizon))
+    solution = ActiveSetOptions().solver(qp.pattern).solve(program(qp, case, seed, horizon))
     assert solution.usable
     plan = start.commands + qp.deviation(solution.primal)
     assert np.all((plan >= LIMITS.lower - 1e-6) & (plan <= LIMITS.upper + 1e-6))
@@ -128,21 +129,20 @@ def test_a_far_reference_is_approached_at_the_greatest_rate_across_block_edges()
     far = replace(problem, reference=np.full(H, 500.0), feedforward=rest.commands)
     qp = blocked(HARD, (1, 3, 8))
     data = qp.data(far, rest, LINEAR.predictor.linearise(far.state, rest.commands)[1])
-    solution = DaqpSolver(qp.pattern, DaqpOptions()).solve(data)
+    solution = ActiveSetOptions().solver(qp.pattern).solve(data)
     np.testing.assert_allclose(qp.deviation(solution.primal), REACH * np.arange(1, H + 1), atol=1e-6)
 
 
-@pytest.mark.parametrize("options", [DaqpOptions(), OsqpOptions()], ids=["DAQP", "OSQP"])
+@pytest.mark.parametrize("options", [ActiveSetOptions(), OsqpOptions()], ids=["active set", "OSQP"])
 def test_a_block_in_which_the_plan_moves_both_ways_at_the_limit_stays_as_it_is(
-    options: DaqpOptions | OsqpOptions,
+    options: ActiveSetOptions | OsqpOptions,
 ) -> None:
     problem, start = posed(LINEAR, 4)
     plan = problem.u_last + REACH * np.array([1.0, 0.0, 1.0, 1.0])
     there = replace(start, commands=plan, angles=LINEAR.predictor.rollout(problem.state, plan[None])[0])
     qp = blocked(HARD, (2, 2), 4)
     data = qp.data(problem, there, LINEAR.predictor.linearise(problem.state, plan)[1])
-    solver = DaqpSolver(qp.pattern, options) if isinstance(options, DaqpOptions) else OsqpSolver(qp.pattern, options)
-    solution = solver.solve(data)
+    solution = options.solver(qp.pattern).solve(data)
     assert solution.usable
     np.testing.assert_allclose(qp.deviation(solution.primal)[:2], 0.0, atol=1e-4)
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 from scipy.optimize import LinearConstraint, minimize
 
 from hystmpc.ctrl.command import CommandLimits, CommandPlan, Stopwatch
@@ -40,14 +41,15 @@ def mpc(weights: WeightsSettings, horizon: int = 20, **changes: Any) -> Linearis
     return LinearisedMpcSettings(weights=weights, horizon=horizon, **changes)
 
 
-def dense(qp: TrackingQp, data: QpData) -> tuple[np.ndarray, np.ndarray]:
-    hessian = qp.pattern.hessian.copy()
-    hessian.data = data.hessian_data
-    upper = hessian.toarray()
-    constraints = qp.pattern.constraints.copy()
-    if data.constraint_data is not None:
-        constraints.data = data.constraint_data
-    return upper + np.triu(upper, 1).T, constraints.toarray()
+def dense(data: QpData) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Hessian, gradient and rows of a program in its unknowns and the variables of its soft rows."""
+    lower, soft = np.tril(data.hessian), data.soft > 0.0
+    hessian = block_diag(lower + np.tril(lower, -1).T, np.diag(1.0 / data.soft[soft]))
+    return (
+        hessian,
+        np.append(data.gradient, np.zeros(soft.sum())),
+        np.hstack([data.columns.T, np.eye(soft.size)[:, soft]]),
+    )
 
 
 @pytest.mark.parametrize("weights", [HARD, SOFT], ids=["hard", "soft"])
@@ -57,12 +59,12 @@ def test_solution_is_that_of_a_dense_reference(weights: WeightsSettings, case: C
     problem, start = posed(case, seed=seed)
     qp = TrackingQp(weights, LIMITS, H, DT)
     data = qp.data(problem, start, case.predictor.linearise(problem.state, start.commands)[1])
-    p, a = dense(qp, data)
+    p, q, a = dense(data)
     solution = OsqpSolver(qp.pattern, OsqpOptions(eps=1e-8, iterations=20_000)).solve(data)
     reference = minimize(
-        lambda z: 0.5 * z @ p @ z + data.gradient @ z,
+        lambda z: 0.5 * z @ p @ z + q @ z,
         np.zeros(len(p)),
-        jac=lambda z: p @ z + data.gradient,
+        jac=lambda z: p @ z + q,
         constraints=LinearConstraint(a, data.lower, data.upper),
         method="SLSQP",
         options={"ftol": 1e-13, "maxiter": 500},
@@ -77,7 +79,7 @@ def test_program_is_the_planning_cost_where_the_model_is_linear() -> None:
     cost = PlanCost(HARD, H)
     qp = TrackingQp(HARD, LIMITS, H, DT)
     data = qp.data(problem, start, case.predictor.linearise(problem.state, start.commands)[1])
-    p, _ = dense(qp, data)
+    p, _, _ = dense(data)
     for v in np.random.default_rng(1).normal(0, 0.2, (10, H)):
         plans = np.array([start.commands, start.commands + v])
         costs = cost(plans, case.predictor.rollout(problem.state, plans), problem)
@@ -146,7 +148,7 @@ def test_rate_multipliers_are_exact_where_every_move_is_at_the_limit() -> None:
     problem = replace(problem, reference=np.full(H, 200.0), feedforward=ramp)
     qp = TrackingQp(HARD, LIMITS, H, DT)
     data = qp.data(problem, start, Lag().linearise(problem.state, ramp)[1])
-    _, a = dense(qp, data)
+    _, _, a = dense(data)
     np.testing.assert_allclose(a.T @ data.dual, -data.gradient, rtol=1e-9)
     assert OsqpSolver(qp.pattern, OsqpOptions()).solve(data).iterations <= 10
 

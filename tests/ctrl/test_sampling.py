@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hystmpc.core.library import engine
 from hystmpc.ctrl.command import CommandPlan, Stopwatch
 from hystmpc.ctrl.linearised.planner import LinearisedPlanner
 from hystmpc.ctrl.linearised.qp import OsqpOptions
@@ -19,7 +20,7 @@ from hystmpc.ctrl.mpc_settings import (
     SplineNoiseSettings,
     WeightsSettings,
 )
-from hystmpc.ctrl.sampling import CrossEntropyPlanner, PathIntegralPlanner, SampleCounter, fit_columns, make_orthogonal
+from hystmpc.ctrl.sampling import CrossEntropyPlanner, PathIntegralPlanner, SampleCounter
 from hystmpc.trials.errors import ConfigError, ControllerError
 
 from .plays import DT, LINEAR, PLAY, SOUND, Case, Faulty, not_a_number
@@ -153,7 +154,7 @@ def test_a_long_preview_has_the_blocks_of_the_linearised_controller_and_a_short_
 def test_samples_show_every_direction_once_before_any_other(count: int) -> None:
     drawn = np.random.default_rng(0).standard_normal((count, 7))
     made = drawn.copy()
-    make_orthogonal(made)
+    engine().make_orthogonal(count, 7, made, np.empty(count))
     np.testing.assert_allclose(np.linalg.norm(made, axis=1), np.linalg.norm(drawn, axis=1))
     for first in range(0, count, 7):
         products = made[first : first + 7] @ made[first : first + 7].T
@@ -163,12 +164,12 @@ def test_samples_show_every_direction_once_before_any_other(count: int) -> None:
 def test_the_slope_of_a_linear_model_is_found_from_one_sample_a_direction() -> None:
     random = np.random.default_rng(1)
     slope, start, around = random.standard_normal((9, 4)), random.standard_normal(9), random.standard_normal(9)
-    ends, factor = np.array([1, 3, 4, 8]), random.standard_normal((4, 4))
+    ends, factor = np.array([1, 3, 4, 8], dtype=np.intc), random.standard_normal((4, 4))
     plans, found = random.standard_normal((4, 9)), np.empty((9, 4))
     plans[:, ends] = start[ends] + factor.T  # z is a unit vector each time
     angles = around + (plans - start)[:, ends] @ slope.T
     whitening = np.ascontiguousarray(np.linalg.inv(factor).T)
-    fit_columns(plans, angles, start, around, ends, whitening, found)
+    engine().fit_columns(4, 9, 4, plans, angles, start, around, ends, whitening, np.empty(5 * 13), found)
     np.testing.assert_allclose(found, slope, atol=1e-4)
 
 

@@ -13,7 +13,14 @@ from hystmpc.ctrl.command import CommandLimits, Source, Stopwatch, attempt
 from hystmpc.ctrl.estimation.observer import EstimatorSettings, OutputEstimator
 from hystmpc.ctrl.guarded import FallbackChain, FallbackSettings, GuardedController
 from hystmpc.ctrl.linearised.planner import LinearisedPlanner, TrackingQp
-from hystmpc.ctrl.linearised.qp import DaqpOptions, DaqpSolver, OsqpOptions, OsqpSolver, QpData, QpPattern, QpSolver
+from hystmpc.ctrl.linearised.qp import (
+    ActiveSetOptions,
+    OsqpOptions,
+    OsqpSolver,
+    QpData,
+    QpPattern,
+    QpSolver,
+)
 from hystmpc.ctrl.mpc import PlanningError, PredictiveLaw
 from hystmpc.ctrl.mpc_settings import HoldSettings, LinearisedMpcSettings, WeightsSettings
 from hystmpc.models.inverse.inverses import AccompaniedPredictor
@@ -26,7 +33,7 @@ from ..models.casadi_predictor import CasadiPredictor
 from .plays import DT, SOUND, Case, Faulty
 from .test_linearised import HARD, LIMITS, SOFT, H, mpc, posed
 
-Options = OsqpOptions | DaqpOptions
+Options = OsqpOptions | ActiveSetOptions
 FINE = OsqpOptions(eps=1e-6, iterations=2000)  # the default of 1e-5 leaves up to 1e-3 mm
 TIGHT = OsqpOptions(eps=1e-9, iterations=20_000)
 DEVICE = CommandLimits(0.0, 6.0, 12.0)
@@ -45,30 +52,33 @@ ONE_SIDED = SOFT.model_copy(update={"angle_lower_deg": None})
 @pytest.mark.parametrize("weights", [HARD, SOFT, ONE_SIDED], ids=["hard", "soft", "one-sided"])
 @pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
 @pytest.mark.parametrize("horizon", [1, H, 20])
-def test_daqp_and_osqp_solve_one_program_alike(weights: WeightsSettings, case: Case, horizon: int) -> None:
+def test_both_solve_one_program_alike(weights: WeightsSettings, case: Case, horizon: int) -> None:
     for seed in range(5):
         qp, data = program(case, weights, seed, horizon)
-        exact = DaqpSolver(qp.pattern, DaqpOptions()).solve(data)
+        exact = ActiveSetOptions().solver(qp.pattern).solve(data)
         iterated = OsqpSolver(qp.pattern, TIGHT).solve(data)
         assert exact.status == "solved"
         assert iterated.status in ("solved", "solved inaccurate")  # within ten times 1e-9
         np.testing.assert_allclose(exact.primal[:horizon], iterated.primal[:horizon], atol=1e-6)
 
 
-def test_daqp_leaves_its_data_alone_and_answers_equally_whatever_came_before() -> None:
+def test_the_exact_solver_leaves_its_data_alone_and_answers_equally_whatever_came_before() -> None:
     qp, _ = program(SOUND[0], SOFT, 0)
-    solver, data = DaqpSolver(qp.pattern, DaqpOptions()), [program(SOUND[0], SOFT, seed)[1] for seed in range(4)]
-    copies = [np.concatenate([d.hessian_data, d.gradient, d.lower, d.upper]) for d in data]
+    solver, data = (
+        ActiveSetOptions().solver(qp.pattern),
+        [program(SOUND[0], SOFT, seed)[1] for seed in range(4)],
+    )
+    copies = [np.concatenate([d.hessian.ravel(), d.gradient, d.lower, d.upper]) for d in data]
     first = [solver.solve(d).primal for d in data]
     backwards = [solver.solve(d).primal for d in data[::-1]][::-1]
     np.testing.assert_array_equal(first, backwards)
     for d, copy in zip(data, copies, strict=True):
-        np.testing.assert_array_equal(np.concatenate([d.hessian_data, d.gradient, d.lower, d.upper]), copy)
+        np.testing.assert_array_equal(np.concatenate([d.hessian.ravel(), d.gradient, d.lower, d.upper]), copy)
 
 
 SOLVERS: dict[str, Callable[[QpPattern], QpSolver]] = {
-    "OSQP": lambda pattern: OsqpSolver(pattern, OsqpOptions()),
-    "DAQP": lambda pattern: DaqpSolver(pattern, DaqpOptions()),
+    "OSQP": OsqpOptions().solver,
+    "active set": ActiveSetOptions().solver,
 }
 
 
@@ -82,8 +92,8 @@ def test_a_solver_that_failed_is_as_good_as_new(name: str, weights: WeightsSetti
     bad = {
         "crossed": replace(data, lower=data.lower + 10.0, upper=data.lower + 10.0),
         "gradient": replace(data, gradient=np.full_like(data.gradient, np.nan)),
-        "hessian": replace(data, hessian_data=np.full_like(data.hessian_data, np.inf)),
-        "nan": replace(data, hessian_data=np.full_like(data.hessian_data, np.nan)),
+        "hessian": replace(data, hessian=np.full_like(data.hessian, np.inf)),
+        "nan": replace(data, hessian=np.full_like(data.hessian, np.nan)),
     }[spoilt]
     for _ in range(2):
         solution, _ = attempt(lambda: solver.solve(bad))  # a solver's own exception counts as a failure as well
@@ -91,10 +101,13 @@ def test_a_solver_that_failed_is_as_good_as_new(name: str, weights: WeightsSetti
     np.testing.assert_array_equal(solver.solve(data).primal, good.primal)
 
 
-def test_daqp_stops_after_its_iterations() -> None:
-    qp, data = program(SOUND[0], HARD, 1)
-    stopped = DaqpSolver(qp.pattern, DaqpOptions(iterations=1)).solve(data)
-    assert (stopped.usable, stopped.unfinished) == (False, True)
+def test_the_exact_solver_stops_after_its_changes() -> None:
+    qp, data = program(SOUND[0], SOFT, 1)
+    needed = ActiveSetOptions().solver(qp.pattern).solve(data).iterations
+    assert needed > 1
+    for changes in range(needed + 1):
+        stopped = ActiveSetOptions(changes).solver(qp.pattern).solve(data)
+        assert (stopped.usable, stopped.unfinished) == (changes == needed, changes < needed)
 
 
 def test_a_program_that_overflows_is_a_planning_error() -> None:
@@ -144,7 +157,7 @@ def compared(
 @pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
 @pytest.mark.parametrize(("osqp", "tolerance"), [(FINE, 1e-4), (TIGHT, 1e-6)], ids=["fine", "tight"])
 def test_both_solvers_give_the_same_commands(case: Case, osqp: OsqpOptions, tolerance: float) -> None:
-    exact = controller_for(case.predictor, case.inverse, DaqpOptions())
+    exact = controller_for(case.predictor, case.inverse, ActiveSetOptions())
     iterated = controller_for(case.predictor, case.inverse, osqp)
     ours, theirs = compared(exact, iterated, case.y_rest, case.u_rest, 60)
     solved = np.isfinite(theirs)
@@ -172,7 +185,7 @@ def reference_route(model: LoadedModel) -> tuple[Predictor, Predictor, Inverse]:
 def test_two_routes_give_one_command(name: str, tolerance: float) -> None:
     model = load_model(library_file(name), start="conditioned")
     compiled, reference, inverse = reference_route(model)
-    fast, slow = (controller_for(route, inverse, DaqpOptions()) for route in (compiled, reference))
+    fast, slow = (controller_for(route, inverse, ActiveSetOptions()) for route in (compiled, reference))
     ours, theirs = compared(fast, slow, 30.0, 0.0, 8 if name == "lstm" else 40)
     np.testing.assert_allclose(theirs, ours, atol=tolerance)
     assert np.ptp(ours) > 0.5

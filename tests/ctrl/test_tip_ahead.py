@@ -95,7 +95,7 @@ def test_the_table_of_residuals_tells_the_slow_error_from_the_sensor(slow: float
     assert own.metadata().model_sigma_deg == own.identification.slow_error
 
 
-@pytest.mark.parametrize("solver", ["daqp", "osqp"])
+@pytest.mark.parametrize("solver", ["active_set", "osqp"])
 def test_forks_and_the_original_do_not_see_each_other(solver: str) -> None:
     """Stepped at the same time by two threads, each answers to the bit what it answers alone."""
     angles = 30.0 + 8.0 * np.sin(0.2 * np.arange(60))

@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hystmpc.ctrl.linearised.qp import DaqpOptions, DaqpSolver, OsqpOptions, OsqpSolver
+from hystmpc.ctrl.linearised.qp import ActiveSetOptions, OsqpOptions, OsqpSolver
 from hystmpc.ctrl.mpc import PlanCost
 from hystmpc.ctrl.mpc_settings import WeightsSettings
-from hystmpc.models.kernels.vector_emitter import host_shape
 from hystmpc.models.model import Predictor
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Progress
@@ -50,7 +49,7 @@ pytestmark = pytest.mark.slow
 TINY = Effort(rounds=2, burst_s=1e-3, burst_most=2)
 SMALL = BenchSettings(hidden=8, horizon=6, samples=16, effort=TINY)
 SECTIONS = {
-    "LSTM, kernels, one thread": 2 if host_shape() is None else 3,  # the plain route beside the vector kernel
+    "LSTM, kernels, one thread": 2,
     "LSTM, kernels, 2 threads": 1,
     "LSTM, linearised MPC, one thread": 1 + len(METHODS),
     "LSTM, sampling MPC, 1 thread": 2,
@@ -202,7 +201,7 @@ def test_programs_with_soft_limits_mean_the_same_to_both_solvers(lstm: Subject) 
     angle = lstm.metadata.trained_angle
     soft = WeightsSettings(effort=0.0, angle_lower_deg=angle.lower, angle_upper_deg=0.5 * (angle.lower + angle.upper))
     qp, programs = recorded_programs(lstm, SMALL, soft)
-    exact = DaqpSolver(qp.pattern, DaqpOptions())
+    exact = ActiveSetOptions().solver(qp.pattern)
     iterated = OsqpSolver(qp.pattern, OsqpOptions(eps=1e-7, iterations=20_000))
     slack = max(float(np.abs(exact.solve(p).primal[SMALL.horizon :]).max()) for p in programs)
     assert slack > 1.0

@@ -7,21 +7,21 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from hystmpc.core.build import levels
+from hystmpc.core.library import engine
 from hystmpc.models.contract.metadata import ModelMetadata, Range
 from hystmpc.models.identify.runs import fixed_rule
-from hystmpc.models.kernels.lstm_plain import PlainRoute
-from hystmpc.models.kernels.lstm_vector import VectorRoute, allowed_threads
-from hystmpc.models.kernels.network_route import NetworkRoute
-from hystmpc.models.kernels.vector_emitter import SHAPES, host_shape
 from hystmpc.models.motions import flexed
 from hystmpc.models.networks.lstm import LstmLayer, LstmWeights
 from hystmpc.models.networks.nodes import Scaling
+from hystmpc.models.networks.packed import lstm_weights
+from hystmpc.models.networks.route import NetworkRoute
 from hystmpc.trials.trial import Trial
 from hystmpc_lab.performance.lstm_reference import LstmStep
 
 DT = 0.04
 SIZES = {"one layer of 5": (5, 1), "two of 64": (64, 2), "three of 7": (7, 3)}
-ROUTES = ("plain", *SHAPES)
+LEVELS = levels()
 
 
 def random_weights(hidden: int, layers: int, seed: int = 0) -> LstmWeights:
@@ -43,13 +43,16 @@ def random_weights(hidden: int, layers: int, seed: int = 0) -> LstmWeights:
     return LstmWeights.from_arrays({name: a.astype(np.float32) for name, a in rounded.items()})
 
 
-def make_route(weights: LstmWeights, name: str, threads: Callable[[], int] = allowed_threads) -> NetworkRoute:
-    """The plain route, or vectors of any shape: LLVM splits those that are too long for the processor."""
-    if name == "plain":
-        return PlainRoute(weights)
-    if host_shape() is None:
-        pytest.skip("the processor has neither AVX-512 nor AVX2, or numba compiles for another")
-    return VectorRoute(weights, SHAPES[name], threads)
+def needs(level: str) -> str:
+    """The level; the test is skipped where the processor does not have its vectors."""
+    if level != "plain" and int(engine("plain").level()) < int(level[1:]):
+        pytest.skip(f"the processor has no vectors of level {level}")
+    return level
+
+
+def make_route(weights: LstmWeights, level: str, threads: Callable[[], int] | None = None) -> NetworkRoute:
+    """Route of an LSTM at a level of the engine."""
+    return NetworkRoute(lstm_weights(weights), threads, needs(level))
 
 
 _FACTS: dict[tuple[int, int], tuple[LstmWeights, ModelMetadata]] = {}

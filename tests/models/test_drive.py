@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
+from hystmpc.core.library import engine
 from hystmpc.models.chain import Chain, split
-from hystmpc.models.inverse.drive import Drive, DrivenInverse, bounded_moves, first_acting
+from hystmpc.models.inverse.drive import Drive, DrivenInverse, first_acting
 from hystmpc.models.inverse.inverses import Bounds, follower_for
 from hystmpc.models.operators.dynamics import Delay, Lag, RateLimit, Servo
 from hystmpc.models.operators.operator import Operator
@@ -78,7 +79,7 @@ def test_the_program_is_solved_as_scipy_solves_it(seed: int, reach: float, gain:
     by_move = np.where(age >= 0, 1.0 - (1.0 - gain) ** (np.maximum(age, 0) + 1.0), 0.0)
     off, weight = np.cumsum(np.random.default_rng(seed).normal(0.0, 0.5, H)), 1e-3
     moves = np.zeros(H)
-    bounded_moves(by_move, off, moves, reach, weight)
+    engine().bounded_moves(by_move, off, H, reach, weight, moves, np.empty(engine().moves_reals(H)))
     rows, right = np.vstack([by_move, np.sqrt(weight) * np.eye(H)]), np.append(off, np.zeros(H))
     exact = lsq_linear(rows, right, (-reach, reach), tol=1e-12)
     assert np.max(np.abs(moves)) <= reach

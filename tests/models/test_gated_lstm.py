@@ -1,6 +1,8 @@
-"""The increment-gated LSTM: a hold holds, the gate counts travel, and its kernels are the network in PyTorch."""
+"""The increment-gated LSTM: a hold holds, the gate counts travel, and in the engine it is the network in PyTorch."""
 
 from __future__ import annotations
+
+from functools import cache
 
 import numpy as np
 import pytest
@@ -9,13 +11,16 @@ from hypothesis import strategies as st
 from onnx import numpy_helper
 
 from hystmpc.models.evaluate import free_run
-from hystmpc.models.kernels.gated import GatedLstmRoute, pack_gated_lstm
+from hystmpc.models.networks.lstm import GATED_MARK
 from hystmpc.models.networks.nodes import Scaling, network_step_graph
+from hystmpc.models.networks.packed import weights_of
+from hystmpc.models.networks.route import NetworkRoute
 from hystmpc.models.networks.settings import DeviceFacts, GatedSettings
 from hystmpc.models.prediction.build import predictor_for
 from hystmpc.models.prediction.exported import RoutedPredictor
 from hystmpc.trials.errors import ModelError
 
+from .lstm_examples import LEVELS, needs
 from .tiny_kinds import FORWARD, example
 
 torch = pytest.importorskip("torch", reason="torch is an extra")
@@ -33,6 +38,7 @@ FORMS = {
 }
 HOLDING = [name for name in FORMS if name != "without gate"]
 every_form = pytest.mark.parametrize("form", FORMS)
+every_level = pytest.mark.parametrize("level", LEVELS)
 commands = st.lists(st.floats(0.0, 6.0), min_size=1, max_size=30)
 
 
@@ -46,21 +52,26 @@ def network(form: str, seed: int = 1):  # type: ignore[no-untyped-def]
     return net
 
 
-def route_of(net) -> GatedLstmRoute:  # type: ignore[no-untyped-def]
+@cache
+def route_of(form: str, level: str) -> NetworkRoute:
+    net = network(form)
     graph = network_step_graph("lstm", net.state_size, SCALING, net.write)
-    return GatedLstmRoute({t.name: numpy_helper.to_array(t) for t in graph.initializer})
+    arrays = {t.name: numpy_helper.to_array(t) for t in graph.initializer}
+    return NetworkRoute(weights_of("lstm", arrays), level=needs(level))
 
 
-ROUTES = {name: route_of(network(name)) for name in FORMS}
 STEPS = {name: TorchStep(network(name), SCALING) for name in FORMS}
 
 
+@every_level
 @pytest.mark.parametrize("form", HOLDING)
 @settings(max_examples=50, deadline=None)
 @given(history=commands, held=st.floats(0.0, 6.0))
-def test_a_held_command_holds_the_angle_to_the_last_bit(form: str, history: list[float], held: float) -> None:
+def test_a_held_command_holds_the_angle_to_the_last_bit(
+    form: str, level: str, history: list[float], held: float
+) -> None:
     motion = np.array([*history, *[held] * ARRIVED])
-    step, route = STEPS[form], ROUTES[form]
+    step, route = STEPS[form], route_of(form, level)
     _, state = step.run(step.initial_rule().state(np.zeros((1, 1)))[0], motion)
     first = step.advance(state[None], np.array([[held]]))
     later = step.advance(first[1], np.array([[held]]))
@@ -72,7 +83,8 @@ def test_a_held_command_holds_the_angle_to_the_last_bit(form: str, history: list
 
 
 def test_without_the_gate_a_hold_drifts() -> None:
-    angles, _ = ROUTES["without gate"].advance(np.full(network("without gate").state_size, 0.1), np.full(200, 3.0))
+    state = np.full(network("without gate").state_size, 0.1)
+    angles, _ = route_of("without gate", "plain").advance(state, np.full(200, 3.0))
     assert np.ptp(angles[ARRIVED : ARRIVED + 20]) > 0.01
 
 
@@ -105,9 +117,10 @@ def reference(net, state: np.ndarray, plan: np.ndarray) -> tuple[np.ndarray, np.
 
 
 @pytest.mark.slow
+@every_level
 @every_form
-def test_kernels_are_exact_from_any_state(form: str) -> None:
-    net, route = network(form).double(), ROUTES[form]
+def test_the_engine_is_exact_from_any_state(form: str, level: str) -> None:
+    net, route = network(form).double(), route_of(form, level)
     for seed in range(3):
         rng = np.random.default_rng(seed)
         state, plan = rng.uniform(-0.9, 0.9, net.state_size), rng.uniform(0, 6, 20)
@@ -123,22 +136,9 @@ def test_kernels_are_exact_from_any_state(form: str) -> None:
         np.testing.assert_allclose(route.rollout(state, plans)[1::2], np.tile(angles, (40, 1)), rtol=0, atol=1e-4)
 
 
-@every_form
-def test_sample_moves_only_the_rows_that_it_is_asked_for(form: str) -> None:
-    net, route = network(form), ROUTES[form]
-    states, theta = np.random.default_rng(0).uniform(-0.9, 0.9, (2, net.state_size)), np.full(2, np.nan)
-    kept = states.copy()
-    route.sample(route.packed, states, 1, np.array([2.0, 3.0]), theta)
-    angles, following = route.advance(kept[0], np.array([2.0]))
-    np.testing.assert_allclose(theta[0], angles[0], rtol=0, atol=1e-5)
-    np.testing.assert_allclose(states[0], following, rtol=0, atol=1e-6)
-    np.testing.assert_array_equal(states[1], kept[1])
-    assert np.isnan(theta[1])
-
-
 @pytest.mark.slow
 def test_the_default_lstm_holds_in_its_file_and_behind_its_predictor() -> None:
-    """onnxruntime and the kernels, after a motion that was recorded: not a bit of drift in a minute."""
+    """onnxruntime and the engine, after a motion that was recorded: not a bit of drift in a minute."""
     one = example("lstm", FORWARD)
     predictor = predictor_for(one.model)
     assert isinstance(predictor, RoutedPredictor)
@@ -152,4 +152,4 @@ def test_the_default_lstm_holds_in_its_file_and_behind_its_predictor() -> None:
 
 def test_missing_weights_are_named() -> None:
     with pytest.raises(ModelError, match=r"gated LSTM: no array lstm\.0\.w_ih"):
-        pack_gated_lstm({"head.weight": np.zeros((1, 4))})
+        weights_of("lstm", {GATED_MARK: np.zeros((1, 4))})

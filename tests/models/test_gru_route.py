@@ -1,4 +1,4 @@
-"""The GRU's kernels against the network in PyTorch, in double precision."""
+"""The GRU in the engine against the network in PyTorch, in double precision."""
 
 from __future__ import annotations
 
@@ -6,23 +6,22 @@ import numpy as np
 import pytest
 from onnx import numpy_helper
 
-from hystmpc.models.kernels.gru import GruRoute, gru_weights, pack_gru
-from hystmpc.models.kernels.lstm_vector import VectorRoute
-from hystmpc.models.kernels.vector_emitter import SHAPES, host_shape
 from hystmpc.models.networks.nodes import Scaling, network_step_graph
+from hystmpc.models.networks.packed import weights_of
+from hystmpc.models.networks.route import NetworkRoute
 from hystmpc.models.networks.settings import DeviceFacts, RecurrentSettings
 from hystmpc.trials.errors import ModelError
+
+from .lstm_examples import LEVELS, needs
 
 torch = pytest.importorskip("torch", reason="torch is an extra")
 
 SCALING = Scaling(3.0, 3.0, 60.0, 32.0)
 every_size = pytest.mark.parametrize("size", [(5, 1), (64, 2), (7, 3)], ids=str)
-every_route = pytest.mark.parametrize("name", ["plain", *SHAPES])
+every_level = pytest.mark.parametrize("level", LEVELS)
 
 
-def network(size: tuple[int, int], name: str):  # type: ignore[no-untyped-def]
-    if name != "plain" and host_shape() is None:
-        pytest.skip("the processor has neither AVX-512 nor AVX2, or numba compiles for another")
+def network(size: tuple[int, int], level: str):  # type: ignore[no-untyped-def]
     torch.manual_seed(1)
     hidden, layers = size
     settings = RecurrentSettings(cell="gru", hidden=hidden, layers=layers, memory_samples=0, command_gain=1.0)
@@ -32,8 +31,7 @@ def network(size: tuple[int, int], name: str):  # type: ignore[no-untyped-def]
             weight.mul_(2.0)  # gates that open and close
     graph = network_step_graph("gru", net.state_size, SCALING, net.write)
     arrays = {t.name: numpy_helper.to_array(t) for t in graph.initializer}
-    vectors = name in SHAPES
-    return net.double(), VectorRoute(gru_weights(arrays), SHAPES[name], cell="gru") if vectors else GruRoute(arrays)
+    return net.double(), NetworkRoute(weights_of("gru", arrays), level=needs(level))
 
 
 def reference(net, state: np.ndarray, plan: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # type: ignore[no-untyped-def]
@@ -54,10 +52,10 @@ def reference(net, state: np.ndarray, plan: np.ndarray) -> tuple[np.ndarray, np.
 
 
 @pytest.mark.slow
-@every_route
+@every_level
 @every_size
-def test_exact_from_any_state(size: tuple[int, int], name: str) -> None:
-    net, route = network(size, name)
+def test_exact_from_any_state(size: tuple[int, int], level: str) -> None:
+    net, route = network(size, level)
     for seed in range(3):
         rng = np.random.default_rng(seed)
         state, plan = rng.uniform(-0.9, 0.9, net.state_size), rng.uniform(0, 6, 20)
@@ -73,21 +71,6 @@ def test_exact_from_any_state(size: tuple[int, int], name: str) -> None:
         np.testing.assert_allclose(route.rollout(state, plans)[1::2], np.tile(angles, (40, 1)), rtol=0, atol=1e-4)
 
 
-@every_route
-@every_size
-def test_sample_moves_only_the_rows_that_it_is_asked_for(size: tuple[int, int], name: str) -> None:
-    net, route = network(size, name)
-    rng = np.random.default_rng(0)
-    states, theta = rng.uniform(-0.9, 0.9, (2, net.state_size)), np.full(2, np.nan)
-    kept = states.copy()
-    route.sample(route.packed, states, 1, np.array([2.0, 3.0]), theta)
-    angles, following = route.advance(kept[0], np.array([2.0]))
-    np.testing.assert_allclose(theta[0], angles[0], rtol=0, atol=1e-5)
-    np.testing.assert_allclose(states[0], following, rtol=0, atol=1e-6)
-    np.testing.assert_array_equal(states[1], kept[1])
-    assert np.isnan(theta[1])
-
-
 def test_missing_weights_are_named() -> None:
     with pytest.raises(ModelError, match=r"GRU: no array gru\.0\.ih\.weight"):
-        pack_gru({"head.weight": np.zeros((1, 4))})
+        weights_of("gru", {"head.weight": np.zeros((1, 4))})

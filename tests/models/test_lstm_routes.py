@@ -1,9 +1,8 @@
-"""The routes of the LSTM's kernels: how exact, what a batch is, what happens to not-a-number, who chooses."""
+"""An LSTM in the engine, at every level: how exact, what a batch is, what happens to not-a-number."""
 
 from __future__ import annotations
 
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,23 +10,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from threadpoolctl import ThreadpoolController
 
-from hystmpc.models.kernels import lstm_vector
-from hystmpc.models.kernels.lstm_plain import PlainRoute
-from hystmpc.models.kernels.lstm_vector import VectorRoute, allowed_threads, kernel_source, share
-from hystmpc.models.kernels.numba_ import generated_module
-from hystmpc.models.kernels.vector_emitter import SHAPES, VectorShape, host_shape, shape_for
-from hystmpc.models.prediction.exported import VARIABLE, RoutedPredictor, chosen_route
-from hystmpc.trials.errors import ConfigError, ModelError
+from hystmpc.models.networks.route import allowed_threads, share
+from hystmpc.models.prediction.exported import RoutedPredictor
+from hystmpc.trials.errors import ModelError
 from hystmpc_lab.performance.lstm_reference import LstmStep
 
-from .lstm_examples import ROUTES, SIZES, facts, make_route, random_weights
+from .lstm_examples import LEVELS, SIZES, facts, make_route, random_weights
 
 ANGLE_DEG, JACOBIAN = 1e-4, 1e-4
 HORIZON = 20
 EXAMPLES = {name: random_weights(*size) for name, size in (*SIZES.items(), ("two of 20", (20, 2)))}
-QUICK = (("one layer of 5", "plain"), ("two of 20", "avx2"))
-every_route = pytest.mark.parametrize("route", ROUTES)
-vectors = pytest.mark.parametrize("route", SHAPES)
+QUICK = (("one layer of 5", "plain"), ("two of 20", LEVELS[-2:][0]))
+every_level = pytest.mark.parametrize("level", LEVELS)
 every_size = pytest.mark.parametrize("size", EXAMPLES)
 
 
@@ -55,15 +49,15 @@ def reference(size: str, seed: int) -> tuple[np.ndarray, ...]:
 
 
 @pytest.mark.parametrize(
-    ("size", "route"),
+    ("size", "level"),
     [
-        pytest.param(size, route, marks=() if (size, route) in QUICK else pytest.mark.slow)
+        pytest.param(size, level, marks=() if (size, level) in QUICK else pytest.mark.slow)
         for size in EXAMPLES
-        for route in ROUTES
+        for level in LEVELS
     ],
 )
-def test_exact_from_any_state(size: str, route: str) -> None:
-    kernel = make_route(EXAMPLES[size], route)
+def test_exact_from_any_state(size: str, level: str) -> None:
+    kernel = make_route(EXAMPLES[size], level)
     for seed in range(6):
         state, plan, angles, jacobian = reference(size, seed)
         found, slopes = kernel.linearise(state, plan)
@@ -73,11 +67,11 @@ def test_exact_from_any_state(size: str, route: str) -> None:
         np.testing.assert_allclose(kernel.rollout(state, plan[None])[0], angles, rtol=0, atol=ANGLE_DEG)
 
 
-@vectors
+@every_level
 @settings(max_examples=25)
 @given(count=st.integers(1, 130), horizon=st.integers(1, 6), seed=st.integers(0, 1000))
-def test_a_batch_is_its_plans_one_by_one_to_the_last_bit(route: str, count: int, horizon: int, seed: int) -> None:
-    rng, kernel = np.random.default_rng(seed), make_route(EXAMPLES["two of 20"], route)
+def test_a_batch_is_its_plans_one_by_one_to_the_last_bit(level: str, count: int, horizon: int, seed: int) -> None:
+    rng, kernel = np.random.default_rng(seed), make_route(EXAMPLES["two of 20"], level)
     state, plans = random_state("two of 20", rng), rng.uniform(0, 6, (count, horizon))
     kept = state.copy(), plans.copy()
     angles = kernel.rollout(state, plans)
@@ -88,10 +82,10 @@ def test_a_batch_is_its_plans_one_by_one_to_the_last_bit(route: str, count: int,
     np.testing.assert_array_equal(plans, kept[1])
 
 
-@every_route
+@every_level
 @every_size
-def test_a_plan_is_its_samples_one_by_one(size: str, route: str) -> None:
-    rng, kernel = np.random.default_rng(2), make_route(EXAMPLES[size], route)
+def test_a_plan_is_its_samples_one_by_one(size: str, level: str) -> None:
+    rng, kernel = np.random.default_rng(2), make_route(EXAMPLES[size], level)
     state, plan = random_state(size, rng), rng.uniform(0, 6, 15)
     angles, following = kernel.advance(state, plan)
     for k, u in enumerate(plan):
@@ -100,10 +94,10 @@ def test_a_plan_is_its_samples_one_by_one(size: str, route: str) -> None:
     np.testing.assert_array_equal(state, following)
 
 
-@every_route
+@every_level
 @every_size
-def test_later_commands_do_not_act_on_earlier_angles(size: str, route: str) -> None:
-    rng, kernel = np.random.default_rng(3), make_route(EXAMPLES[size], route)
+def test_later_commands_do_not_act_on_earlier_angles(size: str, level: str) -> None:
+    rng, kernel = np.random.default_rng(3), make_route(EXAMPLES[size], level)
     state, plan = random_state(size, rng), rng.uniform(0, 6, 12)
     angles, jacobian = kernel.linearise(state, plan)
     shorter, part = kernel.linearise(state, plan[:8])
@@ -112,22 +106,22 @@ def test_later_commands_do_not_act_on_earlier_angles(size: str, route: str) -> N
     np.testing.assert_allclose(part, jacobian[:8, :8], rtol=0, atol=1e-5 * np.abs(jacobian).max())
 
 
-@every_route
+@every_level
 @every_size
-def test_a_hold_holds(size: str, route: str) -> None:
+def test_a_hold_holds(size: str, level: str) -> None:
     """Once settled, a constant command gives a constant angle: rounding does not drift."""
-    kernel, weights = make_route(EXAMPLES[size], route), EXAMPLES[size]
+    kernel, weights = make_route(EXAMPLES[size], level), EXAMPLES[size]
     _, settled = kernel.advance(np.zeros(weights.state_size), np.full(5000, 2.5))
     held = kernel.rollout(settled, np.full((3, 200), 2.5))
     assert np.ptp(held) < ANGLE_DEG
     assert np.ptp(kernel.linearise(settled, np.full(HORIZON, 2.5))[0]) < ANGLE_DEG
 
 
-@vectors
+@every_level
 @pytest.mark.parametrize("threads", [2, 3])
-def test_threads_do_not_change_a_bit(route: str, threads: int) -> None:
+def test_threads_do_not_change_a_bit(level: str, threads: int) -> None:
     rng, weights = np.random.default_rng(4), EXAMPLES["two of 64"]
-    alone, shared = (make_route(weights, route, lambda n=n: n) for n in (1, threads))
+    alone, shared = (make_route(weights, level, lambda n=n: n) for n in (1, threads))
     state = random_state("two of 64", rng)
     for count in (95, 96, 256, 301):
         plans = rng.uniform(0, 6, (count, 5))
@@ -154,11 +148,11 @@ def test_shared_work_is_done_once_and_its_errors_are_heard() -> None:
         share(fail, spans[:2], threads=2)
 
 
-@every_route
+@every_level
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_what_is_not_finite_does_not_become_an_angle(route: str, bad: float) -> None:
+def test_what_is_not_finite_does_not_become_an_angle(level: str, bad: float) -> None:
     weights = EXAMPLES["one layer of 5"]
-    predictor = RoutedPredictor(facts(weights), "conditioned", make_route(weights, route))
+    predictor = RoutedPredictor(facts(weights), "conditioned", make_route(weights, level))
     state, plans = predictor.initial(45.0, 1.0), np.full((5, 4), 2.0)
     fine = predictor.rollout(state, plans)
     plans[3, 2] = bad
@@ -177,9 +171,9 @@ def test_what_is_not_finite_does_not_become_an_angle(route: str, bad: float) -> 
     assert np.isnan(predictor.linearise(broken, plans[0])[0]).all()
 
 
-@vectors
-def test_the_vector_kernel_itself_passes_not_a_number_on(route: str) -> None:
-    kernel = make_route(EXAMPLES["two of 64"], route)
+@every_level
+def test_the_engine_itself_passes_not_a_number_on(level: str) -> None:
+    kernel = make_route(EXAMPLES["two of 64"], level)
     plans = np.full((9, 4), 2.0)
     plans[4, 1] = np.nan
     angles = kernel.rollout(np.zeros(256), plans)
@@ -188,10 +182,9 @@ def test_the_vector_kernel_itself_passes_not_a_number_on(route: str) -> None:
     assert np.isnan(kernel.linearise(np.zeros(256), plans[4])[0][1:]).all()
 
 
-@every_route
-def test_any_layout_of_the_arguments_is_taken(route: str) -> None:
-    """Also because a kernel compiled for another type of array would take seconds, in the middle of a loop."""
-    rng, kernel = np.random.default_rng(5), make_route(EXAMPLES["three of 7"], route)
+@every_level
+def test_any_layout_of_the_arguments_is_taken(level: str) -> None:
+    rng, kernel = np.random.default_rng(5), make_route(EXAMPLES["three of 7"], level)
     state, plans = random_state("three of 7", rng), rng.uniform(0, 6, (8, 6))
     expected, (angles, jacobian) = kernel.rollout(state, plans), kernel.linearise(state, plans[0])
     strided, state_strided = np.asfortranarray(plans), np.repeat(state, 2)[::2]
@@ -203,57 +196,15 @@ def test_any_layout_of_the_arguments_is_taken(route: str) -> None:
     np.testing.assert_array_equal(slopes, jacobian)
 
 
-@vectors
-def test_a_state_of_another_size_is_refused(route: str) -> None:
-    kernel, plan = make_route(EXAMPLES["three of 7"], route), np.full(4, 2.0)
+@every_level
+def test_a_state_of_another_size_is_refused(level: str) -> None:
+    kernel, plan = make_route(EXAMPLES["three of 7"], level), np.full(4, 2.0)
     for call in (kernel.advance, kernel.linearise, lambda state, plan: kernel.rollout(state, plan[None])):
         with pytest.raises(ModelError, match=r"got shape \(41,\), expected \(42,\)"):
             call(np.zeros(41), plan)
 
 
-@every_route
-def test_no_plans_give_no_angles(route: str) -> None:
-    kernel = make_route(EXAMPLES["three of 7"], route)
+@every_level
+def test_no_plans_give_no_angles(level: str) -> None:
+    kernel = make_route(EXAMPLES["three of 7"], level)
     assert kernel.rollout(np.zeros(42), np.empty((0, 5))).shape == (0, 5)
-
-
-def test_the_user_chooses_the_route(monkeypatch: pytest.MonkeyPatch) -> None:
-    weights = EXAMPLES["one layer of 5"]
-    monkeypatch.setenv(VARIABLE, "plain")
-    assert isinstance(chosen_route(weights), PlainRoute)
-    monkeypatch.setenv(VARIABLE, "auto")
-    assert isinstance(chosen_route(weights), PlainRoute if host_shape() is None else VectorRoute)
-    monkeypatch.setenv(VARIABLE, "sse")
-    with pytest.raises(ConfigError, match="got sse, available: auto, plain, avx512, avx2"):
-        chosen_route(weights)
-
-
-@pytest.mark.parametrize(
-    ("features", "shape"),
-    [
-        ({}, None),
-        ({"avx2": True, "fma": False, "avx512f": False}, None),
-        ({"avx2": True, "fma": True, "avx512f": False}, SHAPES["avx2"]),
-        ({"avx2": True, "fma": True, "avx512f": True}, SHAPES["avx512"]),
-    ],
-)
-def test_the_processor_chooses_the_shape(features: dict[str, bool], shape: VectorShape | None) -> None:
-    assert shape_for(features) == shape
-
-
-def test_a_changed_emitter_is_another_module(tmp_path: Path) -> None:
-    """Else numba's cache would go on with the code of the old one."""
-    for path in Path(lstm_vector.__file__).parent.glob("vector_*.py"):
-        (tmp_path / path.name).write_text(path.read_text(encoding="utf-8"), encoding="utf-8")
-    sources = [kernel_source(shape, tmp_path) for shape in SHAPES.values()]
-    for changed in ("vector_emitter.py", "vector_loops.py"):
-        with (tmp_path / changed).open("a", encoding="utf-8") as file:
-            file.write("# one more line\n")
-        sources.append(kernel_source(SHAPES["avx2"], tmp_path))
-    assert len(set(sources)) == len(sources)
-
-
-def test_a_generated_module_is_imported_once() -> None:
-    first = generated_module("VALUE = 1\n")
-    assert generated_module("VALUE = 1\n") is first
-    assert generated_module("VALUE = 2\n").VALUE == 2

@@ -1,30 +1,31 @@
-"""One LSTM, many ways to run it: NumPy, PyTorch, the two ONNX graphs, the routes of compiled kernels."""
+"""One LSTM, many ways to run it: NumPy, PyTorch, the ONNX graph, the engine."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
-import onnx
-import onnxruntime as ort
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.models.contract.export import ExportBundle, export_onnx
 from hystmpc.models.contract.load import load_onnx
+from hystmpc.models.contract.metadata import ModelMetadata, Start
 from hystmpc.models.motions import probe_commands
-from hystmpc.models.networks.lstm import LstmLayer, LstmWeights, lstm_rollout_graph
+from hystmpc.models.networks.lstm import LstmLayer, LstmWeights
 from hystmpc.models.networks.nodes import Scaling
-from hystmpc.models.prediction.exported import RoutedPredictor, chosen_route, recurrent_predictor
+from hystmpc.models.networks.packed import lstm_weights
+from hystmpc.models.networks.route import NetworkRoute
+from hystmpc.models.prediction.exported import RoutedPredictor, recurrent_predictor
 from hystmpc.trials.errors import ModelError
 from hystmpc_lab.performance.lstm_reference import LstmStep, lstm_step_graph
 
-from .lstm_examples import ROUTES, SIZES, facts, make_route, random_weights
+from .lstm_examples import LEVELS, SIZES, facts, make_route, random_weights
 
 EXAMPLES = {name: random_weights(*size) for name, size in SIZES.items()}
 every_size = pytest.mark.parametrize("weights", EXAMPLES.values(), ids=EXAMPLES.keys())
-every_route = pytest.mark.parametrize("route", ROUTES)
+every_level = pytest.mark.parametrize("level", LEVELS)
 STEPS = 1000
 FREE_RUN_DEG = 1e-3
 
@@ -51,14 +52,12 @@ def some_state(weights: LstmWeights, seed: int = 3) -> np.ndarray:
     return state[0].astype(np.float32).astype(float)
 
 
-def predictor_of(weights: LstmWeights, route: str) -> RoutedPredictor:
-    return RoutedPredictor(facts(weights), "conditioned", make_route(weights, route))
+def predictor_of(weights: LstmWeights, level: str) -> RoutedPredictor:
+    return RoutedPredictor(facts(weights), "conditioned", make_route(weights, level))
 
 
-def session(graph: onnx.GraphProto) -> ort.InferenceSession:
-    model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 17)], ir_version=8)
-    onnx.checker.check_model(model, full_check=True)
-    return ort.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"])
+def best(metadata: ModelMetadata, weights: LstmWeights, start: Start = "conditioned") -> RoutedPredictor:
+    return RoutedPredictor(metadata, start, NetworkRoute(lstm_weights(weights)))
 
 
 def test_paper_size_has_the_papers_number_of_parameters() -> None:
@@ -85,17 +84,6 @@ def test_torch_agrees_over_a_long_run(weights: LstmWeights) -> None:
         np.testing.assert_array_equal(back[name], array, err_msg=name)
 
 
-@every_size
-def test_rollout_graph_agrees_over_a_long_run(weights: LstmWeights) -> None:
-    u = np.stack([commands(), commands()[::-1]])
-    states = np.stack([np.zeros(weights.state_size), some_state(weights)])
-    feed = {"u": u.astype(np.float32), "state": states.astype(np.float32)}
-    (theta,) = session(lstm_rollout_graph(weights)).run(["theta"], feed)
-    for k in range(2):
-        expected = reference_run(weights, u[k], states[k])
-        np.testing.assert_allclose(theta[k], expected, rtol=0, atol=FREE_RUN_DEG)
-
-
 @pytest.mark.slow
 @every_size
 def test_exported_file_passes_the_gate_and_feeds_the_kernels(weights: LstmWeights, tmp_path: Path) -> None:
@@ -108,17 +96,20 @@ def test_exported_file_passes_the_gate_and_feeds_the_kernels(weights: LstmWeight
     again = LstmWeights.from_arrays(model.initializers).to_arrays()
     for name, array in weights.to_arrays().items():
         np.testing.assert_array_equal(again[name], array, err_msg=name)
-    from_file, direct = recurrent_predictor(model), RoutedPredictor(metadata, "conditioned", chosen_route(weights))
+    from_file, direct = (
+        recurrent_predictor(model),
+        best(metadata, weights),
+    )
     start = direct.initial(45.0, 1.0)
     np.testing.assert_array_equal(from_file.initial(45.0, 1.0), start)
     plans = commands(40).reshape(4, 10)
     np.testing.assert_array_equal(from_file.rollout(start, plans), direct.rollout(start, plans))
 
 
-@every_route
+@every_level
 @every_size
-def test_compiled_step_agrees_over_a_long_run(weights: LstmWeights, route: str) -> None:
-    predictor, u = predictor_of(weights, route), commands()
+def test_compiled_step_agrees_over_a_long_run(weights: LstmWeights, level: str) -> None:
+    predictor, u = predictor_of(weights, level), commands()
     state, angles = np.zeros(weights.state_size), []
     for value in u:
         theta, state = predictor.advance(state, value)
@@ -126,11 +117,11 @@ def test_compiled_step_agrees_over_a_long_run(weights: LstmWeights, route: str) 
     np.testing.assert_allclose(angles, reference_run(weights, u), rtol=0, atol=FREE_RUN_DEG)
 
 
-@every_route
+@every_level
 @every_size
 @pytest.mark.parametrize("count", [1, 3, 64, 65, 200])
-def test_rollout_is_repeated_steps_for_any_number_of_plans(weights: LstmWeights, count: int, route: str) -> None:
-    predictor, state = predictor_of(weights, route), some_state(weights)
+def test_rollout_is_repeated_steps_for_any_number_of_plans(weights: LstmWeights, count: int, level: str) -> None:
+    predictor, state = predictor_of(weights, level), some_state(weights)
     plans = np.random.default_rng(count).uniform(0, 6, (count, 12))
     theta = predictor.rollout(state, plans)
     assert theta.shape == plans.shape
@@ -155,11 +146,11 @@ def test_reference_jacobian_is_the_slope_of_the_step(weights: LstmWeights) -> No
     np.testing.assert_allclose(step.jacobian(point[:-1], 2.5), slope, rtol=1e-6, atol=1e-7)
 
 
-@every_route
+@every_level
 @every_size
 @pytest.mark.parametrize("horizon", [1, 2, 13, 30])
-def test_compiled_jacobian_is_the_chain_of_reference_jacobians(weights: LstmWeights, horizon: int, route: str) -> None:
-    predictor, step, state = predictor_of(weights, route), LstmStep(weights), some_state(weights)
+def test_compiled_jacobian_is_the_chain_of_reference_jacobians(weights: LstmWeights, horizon: int, level: str) -> None:
+    predictor, step, state = predictor_of(weights, level), LstmStep(weights), some_state(weights)
     plan = np.random.default_rng(horizon).uniform(0, 6, horizon)
     theta, jacobian = predictor.linearise(state, plan)
     expected, tangents, current = np.zeros((horizon, horizon)), np.zeros((state.size, horizon)), state
@@ -173,14 +164,14 @@ def test_compiled_jacobian_is_the_chain_of_reference_jacobians(weights: LstmWeig
     assert np.array_equal(jacobian, np.tril(jacobian))
 
 
-@every_route
+@every_level
 @settings(max_examples=30, deadline=None)
 @given(u=st.lists(st.floats(-100.0, 100.0), min_size=1, max_size=25), seed=st.integers(0, 100))
 def test_any_finite_plan_gives_finite_predictions_and_leaves_the_state_alone(
-    route: str, u: list[float], seed: int
+    level: str, u: list[float], seed: int
 ) -> None:
     weights = EXAMPLES["one layer of 5"]
-    predictor, state = predictor_of(weights, route), some_state(weights, seed)
+    predictor, state = predictor_of(weights, level), some_state(weights, seed)
     before = state.copy()
     theta, jacobian = predictor.linearise(state, np.array(u))
     assert np.isfinite(theta).all()
@@ -193,7 +184,7 @@ def test_start_follows_the_rule_and_the_warm_up() -> None:
     weights = EXAMPLES["three of 7"]
     metadata = facts(weights, warmup=4)
     for start in ("initial", "conditioned"):
-        predictor = RoutedPredictor(metadata, start, chosen_route(weights))
+        predictor = best(metadata, weights, start)
         state = np.array(getattr(metadata, start).offset)
         for _ in range(4):
             _, state = predictor.advance(state, 1.5)

@@ -1,0 +1,109 @@
+/* A bank of Kalman filters of one disturbance d, weighted by their likelihoods (Magill, "Optimal adaptive estimation of
+ * sampled stochastic processes", IEEE Transactions on Automatic Control 10, 1965):
+ *
+ *     S_i = P_i + sensor_i^2,   K_i = min(P_i / S_i, most),   d_i <- d_i + K_i (z - d_i)
+ *     P_i <- (1 - K_i)^2 P_i + K_i^2 sensor_i^2,   w_i <- w_i p(z - d_i; S_i) / sum_j w_j p(z - d_j; S_j)
+ *     d = sum_i w_i d_i,   P = sum_i w_i (P_i + (d_i - d)^2)
+ *
+ * p is Student's density with 7 degrees of freedom: one outlier says little. */
+#include "estimator.h"
+
+#define BY_FREEDOM R(0.2)   /* 1 / (7 - 2) */
+#define SENSOR_SHARE R(0.2) /* of the changes of the model's error are changes of the sensor too */
+#if HYSTMPC_SINGLE
+#define LEAST_WEIGHT R(1e-30)
+#else
+#define LEAST_WEIGHT R(1e-300)
+#endif
+
+/* total = sum of a term by i in eight parts, every eighth term in one: the same order for every width of vectors. */
+#define SUM_IN_PARTS(total, count, term)                                      \
+    {                                                                         \
+        real part[8] = {R(0.0)};                                              \
+        const int whole = (count) - (count) % 8;                              \
+        for (int start = 0; start < whole; start += 8)                        \
+            for (int i = start; i < start + 8; i++) part[i - start] += (term); \
+        total = (part[0] + part[4]) + (part[2] + part[6]);                    \
+        total += (part[1] + part[5]) + (part[3] + part[7]);                   \
+        for (int i = whole; i < (count); i++) total += (term);                \
+    }
+
+static int model_count(const hystmpc_noise *n) { return n->drifts * n->motions; }
+
+/* Variance of the mixture of all filters about its mean. */
+static real mixed_variance(const real *bank, int count, real mean) {
+    const real *d = bank, *p = bank + count, *w = p + count;
+    real total;
+    SUM_IN_PARTS(total, count, w[i] * (p[i] + (d[i] - mean) * (d[i] - mean)))
+    return total;
+}
+
+static void prior_weights(const hystmpc_noise *n, real *w) {
+    const int models = model_count(n);
+    for (int j = 0; j < n->sensors; j++)
+        for (int i = 0; i < models; i++) w[j * models + i] = n->by_sensor[j] * n->by_model[i];
+}
+
+HYSTMPC_LOCAL real hystmpc_noise_init(const hystmpc_noise *n, real *bank, real disturbance) {
+    const int models = model_count(n), count = n->sensors * models;
+    real *d = bank, *p = bank + count, *w = p + count, total;
+    prior_weights(n, w);
+    for (int i = 0; i < count; i++) {
+        d[i] = disturbance;
+        p[i] = n->first_variances[i % models];
+    }
+    SUM_IN_PARTS(total, count, w[i] * p[i])
+    return total;
+}
+
+/* Every filter of one sensor with a measurement used, its weight by how well it foretold it. */
+static void correct_filters(const hystmpc_noise *n, real *restrict d, real *restrict p, real *restrict w, int count,
+                            real noise, real offset) {
+    const real most_gain = n->most_gain, limit = n->limit;
+    for (int i = 0; i < count; i++) {
+        const real before = p[i], spread = before + noise, error = offset - d[i];
+        const real by_spread = R(1.0) / spread;
+        real odd = R(1.0) + error * error * by_spread * BY_FREEDOM;
+        odd *= odd;
+        const real gain = least(before * by_spread, most_gain), rest = R(1.0) - gain;
+        d[i] = clamp(d[i] + gain * error, -limit, limit);
+        p[i] = rest * rest * before + gain * gain * noise;
+        w[i] = w[i] / (MATH(sqrt)(spread) * odd * odd);
+    }
+}
+
+/* After the filters all weights are mixed with their prior, since how wrong the model is may change (a jump Markov
+ * model: Blom and Bar-Shalom, IEEE Transactions on Automatic Control 33, 1988, without their mixing of the filters). */
+HYSTMPC_LOCAL real hystmpc_noise_correct(const hystmpc_noise *n, real *bank, real offset, real *mean) {
+    const int models = model_count(n), count = n->sensors * models;
+    real *d = bank, *p = bank + count, *w = p + count, total, off;
+    for (int j = 0, at = 0; j < n->sensors; j++, at += models)
+        correct_filters(n, d + at, p + at, w + at, models, n->sensor_variances[j], offset);
+    SUM_IN_PARTS(total, count, w[i])
+    if (!(total > LEAST_WEIGHT)) { /* none has foretold it at all: as before anything was seen */
+        prior_weights(n, w);
+        SUM_IN_PARTS(total, count, w[i])
+    }
+    const real kept = (R(1.0) - n->switching) / total;
+    for (int j = 0; j < n->sensors; j++) {
+        real *own = w + j * models, share;
+        SUM_IN_PARTS(share, models, own[i])
+        share = n->switching * ((R(1.0) - SENSOR_SHARE) * share / total + SENSOR_SHARE * n->by_sensor[j]);
+        for (int i = 0; i < models; i++) own[i] = kept * own[i] + share * n->by_model[i];
+    }
+    SUM_IN_PARTS(off, count, w[i] * (d[i] - d[0]))
+    *mean = d[0] + off;
+    return mixed_variance(bank, count, *mean);
+}
+
+HYSTMPC_LOCAL real hystmpc_noise_advance(const hystmpc_noise *n, real *bank, real travel, real mean) {
+    const int count = n->sensors * model_count(n);
+    for (int j = 0; j < n->sensors * n->drifts; j++) {
+        const int at = j % n->drifts;
+        const real drift = n->drift_variances[at], *most_variance = n->most_variances + at * n->motions;
+        real *p = bank + count + j * n->motions;
+        for (int i = 0; i < n->motions; i++)
+            p[i] = least(p[i] + drift + n->motion_variances[i] * travel, most_variance[i]);
+    }
+    return mixed_variance(bank, count, mean);
+}

@@ -1,0 +1,221 @@
+/* Kalman filters of z = (d, w_c, w) for every drive of the grid, with scores of their forecasts:
+ *
+ *     y_k = m_k + h_k' z_k + v_k,   h = (1, m - m_0, f),   var(v) = r
+ *     s = h' P h + r,  z <- z + P h (y - m - h' z) / s,  P <- P - P h h' P / s,  P <- P + Q
+ *
+ * By Q the offset drifts, but the weights change with the travel of the command only. All z are frozen at the beginning
+ * of a block, and each drive predicts the angles of the block from the commands alone; so do the model with its
+ * disturbance, and the last angle held. The best drive acts as far as it predicts clearly better than the model. */
+#include "learning.h"
+
+enum {
+    K = HYSTMPC_UNKNOWNS,
+    DELAYS = HYSTMPC_DELAYS,
+    LAGS = HYSTMPC_LAGS, /* of a delay, side by side: each operation is one on a vector of all of them */
+    DRIVES = HYSTMPC_DRIVES,
+    MODEL_ALONE = HYSTMPC_DRIVES,
+    LAST_ANGLE = HYSTMPC_DRIVES + 1,
+    INSTANT = HYSTMPC_MEMORY * HYSTMPC_LAGS, /* numbers of the history of an instant */
+    QUEUE = 3,
+    HISTORY = QUEUE + HYSTMPC_DELAYS
+};
+
+#define KEPT R(0.8)       /* forgetting factor of a score, a block */
+#define BETTER R(0.8)     /* share of the present score at which another drive is taken */
+#define LEAST_GAIN R(0.6) /* over the model's score, at which the learned part begins to act */
+#define FULL_GAIN R(0.3)  /* beyond it, for its full effect */
+#define MOVING R(2.0)     /* variances of the filters by which an angle has to move in a block that counts */
+#define RECENT R(0.8)     /* forgetting factor of the errors that a supervisor uses, a block */
+#define WORST R(1.2)      /* error of a block is limited to this: one bad block is weak evidence */
+#define SURPRISE R(9.0)   /* variances of an error in a hold, from which on it is an offset that has jumped */
+
+/* The covariance of one lag before anything has been learned. */
+static void start_covariance(const hystmpc_learner *n, real (*p)[HYSTMPC_LAGS], int lag) {
+    for (int a = 0, at = 0; a < K; a++)
+        for (int b = 0; b <= a; b++, at++) p[at][lag] = a == b ? n->prior[a] : R(0.0);
+}
+
+/* Forecasts start from the present weights. */
+static void freeze(hystmpc_filters *l) {
+    for (int delay = 0; delay < DELAYS; delay++)
+        for (int a = 0; a < K; a++)
+            for (int i = 0; i < LAGS; i++) l->frozen[delay][a][i] = l->z[delay][a][i];
+}
+
+HYSTMPC_LOCAL void hystmpc_learning_init(const hystmpc_learner *n, real *past, hystmpc_filters *l, real angle, real u,
+                                         real y) {
+    const real v = hystmpc_share_of_range(&n->basis, u);
+    const real side = v < R(0.5) ? R(1.0) : R(-1.0); /* a device near one end of its command has come from the other */
+    past[0] = v;
+    past[1] = side;
+    past[2] = angle;
+    for (int k = 0; k < DELAYS; k++) past[QUEUE + k] = v;
+    for (int t = 0; t <= DELAYS + n->delay; t++) hystmpc_rest_memory(past + HISTORY + t * INSTANT, LAGS, v, side);
+    for (int delay = 0; delay < DELAYS; delay++) {
+        for (int a = 0; a < K; a++)
+            for (int i = 0; i < LAGS; i++) l->z[delay][a][i] = a ? R(0.0) : y - angle;
+        for (int lag = 0; lag < LAGS; lag++) start_covariance(n, l->covariance[delay], lag);
+    }
+    freeze(l);
+    l->references[0] = y - angle;
+    l->references[1] = y;
+    for (int i = 0; i < DRIVES + 2; i++) l->sums[i] = l->scores[i] = R(0.0);
+    l->forecast_error = l->share = R(0.0);
+    l->count = l->blocks = l->best = 0;
+}
+
+HYSTMPC_LOCAL real hystmpc_learning_reach(const hystmpc_learner *n, const real *past) {
+    const real *queue = past + QUEUE;
+    real low = queue[0], high = queue[0];
+    for (int k = 1; k < DELAYS; k++) {
+        low = least(low, queue[k]);
+        high = most(high, queue[k]);
+    }
+    return R(2.0) * n->scale * (high - low);
+}
+
+HYSTMPC_LOCAL void hystmpc_learning_advance(const hystmpc_learner *n, real *past, real u) {
+    const real x = hystmpc_share_of_range(&n->basis, u);
+    real *history = past + HISTORY;
+    for (int t = DELAYS + n->delay; t > 0; t--)
+        for (int i = 0; i < INSTANT; i++) history[t * INSTANT + i] = history[(t - 1) * INSTANT + i];
+    hystmpc_advance_memory(&n->basis, history, LAGS, x, n->lags);
+    hystmpc_advance_queue(past + QUEUE, x);
+}
+
+/* One measurement for all lags of a delay. Of each covariance the lower triangle is stored, row by row. `still`: the
+ * command rests; no weight can have changed then, and a large error is a jump of the offset. */
+static void correct_drives(const hystmpc_learner *n, real (*restrict z)[HYSTMPC_LAGS], real (*restrict p)[HYSTMPC_LAGS],
+                           real (*restrict h)[HYSTMPC_LAGS], const real *error, int still) {
+    real spread[HYSTMPC_UNKNOWNS][HYSTMPC_LAGS], variance[HYSTMPC_LAGS], shrunk[HYSTMPC_LAGS];
+    int usable[HYSTMPC_LAGS];
+    for (int a = 0, at = 0; a < K; a++, at++) {
+        real own[HYSTMPC_LAGS] = {R(0.0)};
+        for (int b = 0; b < a; b++, at++) {
+            for (int i = 0; i < LAGS; i++) {
+                own[i] += p[at][i] * h[b][i];
+                spread[b][i] += p[at][i] * h[a][i];
+            }
+        }
+        for (int i = 0; i < LAGS; i++) spread[a][i] = own[i] + p[at][i] * h[a][i];
+    }
+    for (int i = 0; i < LAGS; i++) variance[i] = n->noise;
+    for (int a = 0; a < K; a++)
+        for (int i = 0; i < LAGS; i++) variance[i] += h[a][i] * spread[a][i];
+    for (int i = 0; i < LAGS; i++) {
+        const real square = error[i] * error[i];
+        usable[i] = n->noise <= variance[i] && is_finite(variance[i]) && is_finite(error[i]);
+        const real jump = still && square > SURPRISE * variance[i] ? square : R(0.0);
+        p[0][i] += jump;
+        spread[0][i] += jump;
+        shrunk[i] = R(1.0) / MATH(sqrt)(variance[i] + jump);
+    }
+    for (int a = 0, at = 0; a < K; a++) {
+        for (int i = 0; i < LAGS; i++) {
+            spread[a][i] *= shrunk[i]; /* twice the same factor: the covariance stays symmetric to the last bit */
+            z[a][i] = usable[i] ? z[a][i] + spread[a][i] * (shrunk[i] * error[i]) : z[a][i];
+        }
+        for (int b = 0; b <= a; b++, at++)
+            for (int i = 0; i < LAGS; i++) p[at][i] -= spread[a][i] * spread[b][i];
+    }
+    for (int i = 0; i < LAGS; i++)
+        if (!usable[i]) start_covariance(n, p, i); /* rounding has eaten the covariance */
+}
+
+/* What a block of forecasts says: the scores, the drive that is used, how far it acts. */
+static void judge(const hystmpc_learner *n, hystmpc_filters *l, const real *means) {
+    if (means[LAST_ANGLE] <= MOVING * n->noise) return;
+    const real kept = least(KEPT, (real)l->blocks / ((real)l->blocks + R(1.0)));
+    int first = 0;
+    for (int i = 0; i < DRIVES + 2; i++) l->scores[i] = kept * l->scores[i] + (R(1.0) - kept) * means[i];
+    for (int i = 1; i < DRIVES; i++)
+        if (l->scores[i] < l->scores[first]) first = i;
+    if (l->scores[first] < BETTER * l->scores[l->best]) l->best = first;
+    const real gained = R(1.0) - (l->scores[l->best] + n->floor) / (l->scores[MODEL_ALONE] + n->floor);
+    const real off = MATH(sqrt)(least(means[MODEL_ALONE], means[l->best]) / means[LAST_ANGLE]);
+    l->forecast_error = RECENT * l->forecast_error + (R(1.0) - RECENT) * least(off, WORST);
+    l->blocks++;
+    l->share = clamp((gained - LEAST_GAIN) / FULL_GAIN, R(0.0), R(1.0));
+}
+
+/* Every drive with a measurement used, and the errors of its forecast added. */
+static void correct_all(const hystmpc_learner *n, const real *past, hystmpc_filters *l, real y, real angle) {
+    const real *now = past + HISTORY + n->delay * INSTANT, travel = absolute(now[0] - now[INSTANT]);
+    for (int delay = 0; delay < DELAYS; delay++, now += INSTANT) {
+        real(*z)[HYSTMPC_LAGS] = l->z[delay], (*p)[HYSTMPC_LAGS] = l->covariance[delay];
+        real h[HYSTMPC_UNKNOWNS][HYSTMPC_LAGS], error[HYSTMPC_LAGS], forecast[HYSTMPC_LAGS];
+        hystmpc_features(&n->basis, now, now + INSTANT, LAGS, past[0], past[1], h[2]);
+        for (int i = 0; i < LAGS; i++) {
+            h[0][i] = R(1.0);
+            h[1][i] = angle - past[2];
+            error[i] = forecast[i] = y - angle;
+        }
+        for (int a = 0; a < K; a++) {
+            for (int i = 0; i < LAGS; i++) {
+                error[i] -= h[a][i] * z[a][i];
+                forecast[i] -= h[a][i] * l->frozen[delay][a][i];
+            }
+        }
+        for (int lag = 0; lag < LAGS; lag++) l->sums[lag * DELAYS + delay] += forecast[lag] * forecast[lag];
+        correct_drives(n, z, p, h, error, travel == R(0.0));
+        for (int a = 0; a < K; a++) {
+            real *own = p[a * (a + 3) / 2];
+            for (int i = 0; i < LAGS; i++) {
+                const real grown = own[i] + n->growth[a] + n->walk[a] * travel;
+                own[i] = least(grown, most(n->prior[a], own[i]));
+            }
+        }
+    }
+}
+
+HYSTMPC_LOCAL void hystmpc_learning_correct(const hystmpc_learner *n, const real *past, hystmpc_filters *l, real y,
+                                            real angle, real disturbance) {
+    correct_all(n, past, l, y, angle);
+    const real own = y - angle - l->references[0], none = y - l->references[1];
+    l->sums[MODEL_ALONE] += own * own;
+    l->sums[LAST_ANGLE] += none * none;
+    l->count++;
+    if (l->count < n->block) return;
+    real means[HYSTMPC_DRIVES + 2];
+    for (int i = 0; i < DRIVES + 2; i++) means[i] = l->sums[i] / (real)l->count;
+    judge(n, l, means);
+    for (int i = 0; i < DRIVES + 2; i++) l->sums[i] = R(0.0);
+    l->count = 0;
+    freeze(l);
+    l->references[0] = disturbance;
+    l->references[1] = y;
+}
+
+/* The memory behind one lag, so many samples ago. */
+static void memory_of(const real *past, int at, int lag, real *memory) {
+    for (int i = 0; i < HYSTMPC_MEMORY; i++) memory[i] = past[HISTORY + at * INSTANT + i * LAGS + lag];
+}
+
+HYSTMPC_LOCAL void hystmpc_learning_added(const hystmpc_learner *n, const real *past, const hystmpc_filters *l,
+                                          const real *angles, real *added) {
+    const int lag = l->best / DELAYS, delay = l->best % DELAYS;
+    real memory[HYSTMPC_MEMORY], f[HYSTMPC_FEATURES];
+    for (int k = 0; k <= n->delay; k++) {
+        const int at = delay + n->delay - k;
+        if (l->share == R(0.0)) {
+            added[k] = R(0.0);
+            continue;
+        }
+        memory_of(past, at, lag, memory);
+        hystmpc_features(&n->basis, memory, past + HISTORY + (at + 1) * INSTANT + lag, 1, past[0], past[1], f);
+        real total = l->z[delay][1][lag] * (angles[k] - past[2]);
+        for (int i = 0; i < HYSTMPC_FEATURES; i++) total += l->z[delay][2 + i][lag] * f[i];
+        added[k] = l->share * total;
+    }
+}
+
+HYSTMPC_LOCAL void hystmpc_learning_state(const hystmpc_learner *n, const real *past, const hystmpc_filters *l,
+                                          hystmpc_learned *s) {
+    const int lag = l->best / DELAYS, delay = l->best % DELAYS;
+    memory_of(past, delay, lag, s->memory);
+    for (int k = 0; k < DELAYS; k++) s->queue[k] = past[QUEUE + k];
+    for (int i = 0; i < HYSTMPC_WEIGHTS; i++) s->weights[i] = l->share * l->z[delay][1 + i][lag];
+    for (int i = 0; i < 3; i++) s->start[i] = past[i];
+    s->share = n->lags[lag];
+    s->delay = (real)delay;
+}
