@@ -1,1 +1,1 @@
-"""Roll-outs and exact sensitivities of recurrent networks."""
+"""Loops that numba compiles until the engine has them."""
