@@ -1,4 +1,4 @@
-# Python 3.11 or newer, make and a package index are all that is needed; no compiler.
+# Python 3.11 or newer, make and a package index are all that is needed: pip fetches a C compiler where there is none.
 # `make PYTHON=python3.12 ...` chooses the interpreter; a venv made by another Python version is made anew.
 
 PYTHON ?= python3

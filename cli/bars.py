@@ -1,4 +1,4 @@
-"""Progress and time left of long computations, compilation included: bars on a terminal, otherwise lines."""
+"""Progress and time left of long computations: bars on a terminal, otherwise lines."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, final
 import typer
 from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
-from hystmpc.models.kernels.compiling import Compilation, about, sentence
+from hystmpc.trials.brief import about
 
 from .console import INTERRUPTED, errors, say
 
@@ -39,8 +39,6 @@ _FALL_S = 3.0  # time constant with which a displayed time left falls to a short
 _LEAST_S, _LEAST_SHARE = 1.0, 0.01  # least time and share for an estimate of the time left
 _TICK_S = 0.25
 _DRAWN_S = 1.0  # delay of a bar whose computation has not reported yet
-_RESTED_S = 3.0  # without compilation, after which it counts as ended
-_COMPILING = "compiling, first use only"
 
 
 @final
@@ -51,13 +49,13 @@ class Steady:
         self._shown: float | None = None
         self._read = 0.0
 
-    def show(self, wanted: float | None, now: float, paused: bool) -> float | None:
-        """Time left to display for an estimate [s] at a time [s]; during a pause it is constant."""
+    def show(self, wanted: float | None, now: float) -> float | None:
+        """Time left to display for an estimate [s] at a time [s]."""
         gone, self._read = now - self._read, now
         if wanted is None or self._shown is None:
             self._shown = wanted
             return wanted
-        before = self._shown if paused else max(self._shown - gone, 0.0)
+        before = max(self._shown - gone, 0.0)
         if wanted <= before:
             self._shown = wanted + (before - wanted) * math.exp(-gone / _FALL_S)
         else:
@@ -71,7 +69,7 @@ class TimeLeft:
 
     With elapsed time E and the elapsed share p of the time, E (1 - p) / p is left. The error of the mean speed is at
     most the factor between the fastest and the slowest stage; the present speed would jump at each stage. Between two
-    reports p grows at the mean speed, at most by the last step. Pauses do not count.
+    reports p grows at the mean speed, at most by the last step.
 
     Args:
         pace: share of the time by share of the steps, as measured; by default steps of equal duration.
@@ -80,8 +78,6 @@ class TimeLeft:
     def __init__(self, pace: Pace = EVEN) -> None:
         self._steps, self._times = zip(*pace, strict=True)
         self._began: float | None = None
-        self._paused = 0.0  # duration of the pauses that have ended [s]
-        self._pause: float | None = None  # when the present one began
         self._done, self._share, self._at = 0.0, 0.0, 0.0  # shares of steps and time at the last report; elapsed time
         self._farthest = 0.0  # share of the time where a step as wide as the last one ends
         self._steady = Steady()
@@ -90,27 +86,15 @@ class TimeLeft:
         """Set the completed share of the steps, 0 to 1, at a time [s]; a decrease restarts the estimate."""
         step = share - self._done
         if self._began is None or step < 0.0:
-            self._began, self._paused, self._steady, step = now, 0.0, Steady(), 0.0
-            self._pause = None if self._pause is None else now
+            self._began, self._steady, step = now, Steady(), 0.0
         elif step == 0.0:
             return
         self._done, self._share, self._farthest = share, self._passed(share), self._passed(share + step)
         self._at = self._elapsed(now)
 
-    def pause(self, now: float) -> None:
-        """Stop the clock during a wait that is not part of the computation."""
-        if self._pause is None:
-            self._pause = now
-
-    def go_on(self, now: float) -> None:
-        """Restart the clock after a pause."""
-        if self._pause is not None:
-            self._paused += now - self._pause
-            self._pause = None
-
     def seconds(self, now: float) -> float | None:
         """Time left to display [s]; None if unknown."""
-        return self._steady.show(self._estimate(now), now, self._pause is not None)
+        return self._steady.show(self._estimate(now), now)
 
     def _passed(self, share: float) -> float:
         """Elapsed share of the time at a completed share of the steps."""
@@ -130,9 +114,7 @@ class TimeLeft:
         return elapsed * (1.0 - share) / share
 
     def _elapsed(self, now: float) -> float:
-        if self._began is None:
-            return 0.0
-        return (now if self._pause is None else self._pause) - self._began - self._paused
+        return 0.0 if self._began is None else now - self._began
 
 
 def clock_words(seconds: float | None) -> str:
@@ -182,39 +164,6 @@ class Computation:
 
 
 @final
-class Compiling:
-    """State of the compilation of kernels, shown as a computation."""
-
-    def __init__(self) -> None:
-        self.state, self.at = Compilation(0.0, 0.0, False), 0.0  # as reported last, and when
-        self._shown = False
-        self._said: float | None = None  # when its last line was printed
-        self._steady = Steady()
-
-    def shown(self, now: float) -> bool:
-        """Whether a compilation is active and long enough to be shown."""
-        goes_on = self.state.busy or now - self.at < _RESTED_S
-        self._shown = goes_on and (self._shown or self.state.worth_telling(now - self.at))
-        return self._shown
-
-    def left(self, now: float) -> tuple[float, float]:
-        """Completed share, and the time left [s]."""
-        done = self.state.done_s + (now - self.at if self.state.busy else 0.0)
-        left = self._steady.show(max(self.state.total_s - done, 0.0), now, not self.state.busy) or 0.0
-        return (done / (done + left) if done + left > 0 else 0.0), left
-
-    def line(self, now: float) -> str | None:
-        """Line due at a time, if any."""
-        if not self.shown(now):
-            return None
-        if self._said is not None and (now - self._said < EVERY_S or not self.state.busy):
-            return None
-        first, self._said = self._said is None, now
-        share, left = self.left(now)
-        return sentence(left) if first else f"{_COMPILING}: {100 * share:.0f} %, about {about(left)} left"
-
-
-@final
 class Screen:
     """Display of the computations of this program.
 
@@ -227,9 +176,8 @@ class Screen:
         self._console, self._clock, self._ticks = console, clock, ticks
         self._lock = threading.RLock()
         self._works: dict[int, Computation] = {}
-        self._compiling = Compiling()
         self._bars: Progress | None = None
-        self._drawn: dict[int, TaskID] = {}  # number of a computation, 0 of the compilation, and its bar
+        self._drawn: dict[int, TaskID] = {}  # number of a computation, and its bar
         self._thread: threading.Thread | None = None
         self._over = threading.Event()
         self._number = 0
@@ -238,9 +186,7 @@ class Screen:
         """Add a computation to the display and return its number."""
         with self._lock:
             self._number += 1
-            work = self._works[self._number] = Computation(title, self._clock(), TimeLeft(pace), total)
-            if self._compiling.state.busy:
-                work.left.pause(work.began)
+            self._works[self._number] = Computation(title, self._clock(), TimeLeft(pace), total)
             self._watch()
             return self._number
 
@@ -267,16 +213,6 @@ class Screen:
             if not self._works:
                 self._end()
 
-    def compiles(self, state: Compilation) -> None:
-        """Set the state of the compilation of kernels."""
-        with self._lock:
-            self._compiling.state = state
-            now = self._compiling.at = self._clock()
-            for work in self._works.values():
-                work.left.pause(now) if state.busy else work.left.go_on(now)
-            self._watch()
-            self.tick()
-
     def stop(self) -> None:
         """Stop the display before the interpreter ends, since a drawing thread would then cause an error."""
         with self._lock:
@@ -293,12 +229,9 @@ class Screen:
             if self._console.is_terminal:
                 self._draw(now)
                 return
-            if line := self._compiling.line(now):
-                self._print(line)
-            if not (self._compiling.shown(now) and self._compiling.state.busy):
-                for work in self._works.values():
-                    if line := work.line(now):
-                        self._print(line)
+            for work in self._works.values():
+                if line := work.line(now):
+                    self._print(line)
 
     def _print(self, line: str) -> None:
         self._console.print(line, soft_wrap=True, highlight=False)
@@ -307,13 +240,6 @@ class Screen:
         for number, work in self._works.items():
             if number in self._drawn or work.reported or now - work.began >= _DRAWN_S:
                 self._bar(number, work.title, work.total, work.share, work.left.seconds(now), work.note)
-        if self._compiling.shown(now):
-            self._bar(0, _COMPILING, 1.0, *self._compiling.left(now))
-        elif 0 in self._drawn:
-            self._bar(0, _COMPILING, 1.0, 1.0, None)
-            del self._drawn[0]
-            if not self._works:
-                self._end()
         if self._bars is not None:
             self._bars.refresh()
 
@@ -354,7 +280,7 @@ class Screen:
         while not self._over.wait(_TICK_S):
             with self._lock:
                 self.tick()
-                if not self._works and not self._compiling.shown(self._clock()):
+                if not self._works:
                     self._end()
                     self._thread = None
                     return

@@ -150,12 +150,9 @@ def hystmpc(
 ) -> None:
     """Identify actuators with hysteresis, control them, and diagnose where a simulator and its device differ."""
     del show_version  # its callback has been called
-    from hystmpc.models.kernels.compiling import watching
-
     from .bars import SCREEN
 
     context.call_on_close(SCREEN.stop)
-    context.with_resource(watching(SCREEN.compiles))
 
 
 def main() -> None:

@@ -74,7 +74,7 @@ def functions_used(source: str) -> tuple[str, ...]:
 def model_source(name: str, step: Step) -> str:
     """Return the C source of the model `hystmpc_<name>`: step of a chain, and its tangent.
 
-    Constant values are computed here by the operations of the compiled kernels, so that both agree to the last bit.
+    Constant values are computed here by the operations of the engine, so that both agree to the last bit.
     """
     known = _known(step)
     outputs = "*theta", "next", "a", "b", "c", "*d"

@@ -47,7 +47,7 @@ __all__ = [
     "run_loop",
 ]
 
-# Imported when first asked for: a controller loads CasADi, numba and onnxruntime, which take over a second.
+# Imported when first asked for: a controller loads CasADi and onnxruntime, which takes long.
 if not TYPE_CHECKING:
     __getattr__ = lazily(
         __name__,

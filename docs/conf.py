@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import sys
 from importlib.metadata import version as installed
@@ -73,4 +72,3 @@ if any(GALLERY.glob("plot_*.py")):
 for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(threads, "1")
 os.environ["MPLBACKEND"] = "Agg"
-logging.getLogger("hystmpc.models.kernels.compiling").setLevel(logging.ERROR)  # pages show no line of the first use

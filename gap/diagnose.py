@@ -14,7 +14,6 @@ from hystmpc.models.effects.catalogue import EFFECTS, confounders, diagnosable
 from hystmpc.models.identify.cross_validation import CrossValidation
 from hystmpc.models.identify.least_squares import one_blas_thread
 from hystmpc.models.identify.uncertainty import BASELINE_UNITS, ParameterRow, parameter_rows
-from hystmpc.models.kernels.compiling import expecting
 from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import GapError, did_you_mean
@@ -38,14 +37,12 @@ if TYPE_CHECKING:
 
 
 _STEPS, _CONCLUDED = 100, 97  # of the progress
-_COMPILES_S = 75.0  # where nothing is on disk: the kernels of all effects
 _LEFT_BY_A_ROUND = 0.6  # of the progress of the selection
 _STABILITY_UNKNOWN = 0.5
 _SURE_OF_NONE = 0.95  # probability that nothing is missing where every resample says so
 
 
 @one_blas_thread
-@expecting(_COMPILES_S)
 def find_causes(
     trials: Sequence[Trial],
     simulator: Simulator | LoadedModel,

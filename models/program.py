@@ -1,4 +1,4 @@
-"""From one CasADi expression to Python source: scalar code for numba, array code for NumPy and torch."""
+"""From one CasADi expression to Python source: scalar code, and array code for NumPy and torch."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ class Program:
     Attributes:
         source: text of the function, whose last argument `k` receives `constants`.
         constants: the numbers of the expression. Kept outside so that models that differ in numbers only share
-            one compiled kernel.
+            one source.
     """
 
     source: str
@@ -139,7 +139,7 @@ class Program:
 
 
 def scalar_program(function: Any, name: str, table: Mapping[str, str] = SCALAR) -> Program:
-    """Return numba-ready source `name(i0, i1, ..., o0, o1, ..., k)` reading and writing flat float arrays."""
+    """Return source `name(i0, i1, ..., o0, o1, ..., k)` reading and writing flat float arrays."""
     lines, constants = _body(function, table, "o{0}[{1}] = {2}")
     inputs = [f"i{j}" for j in range(function.n_in())]
     outputs = [f"o{j}" for j in range(function.n_out())]

@@ -11,18 +11,15 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from contextlib import contextmanager
+from dataclasses import dataclass
 from importlib.util import find_spec
 from itertools import chain, islice
-from multiprocessing.connection import Connection
-from multiprocessing.context import SpawnContext
 from multiprocessing.process import BaseProcess
 from typing import Any, Generic, TypeVar, final
 
 from threadpoolctl import threadpool_limits
 
-from hystmpc.models.kernels.compiling import PROCESS, Compilation, joint
 from hystmpc.trials.errors import ConfigError, FitInterruptedError, HystmpcError
 from hystmpc.trials.types import Progress
 
@@ -30,7 +27,6 @@ T = TypeVar("T")
 R = TypeVar("R")
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _DEATHS = 3  # in a row, without a result between them
-_LISTENS_S = 0.2  # time between two checks for lost workers
 _AHEAD = 2  # items per worker that are sent in advance
 _TIMEOUT_S = 10.0
 _CALLS_AHEAD = 4  # calls per worker thread that the scheduler holds
@@ -108,8 +104,8 @@ class Processes(Backend):
         """Results until the pool breaks; `pending` holds the items without a result."""
         # Not forked: torch's threads do not survive a fork.
         context = multiprocessing.get_context("spawn")
-        with _safe_path(), _compilation_reports(context) as reports:
-            pool = ProcessPoolExecutor(self.workers, context, prepare_worker, (reports,))
+        with _safe_path():
+            pool = ProcessPoolExecutor(self.workers, context, prepare_worker)
             yield from self._asked(pool, function, items, pending)
 
     def _asked(
@@ -145,32 +141,6 @@ def _safe_path() -> Iterator[None]:
             os.environ.pop("PYTHONSAFEPATH", None)
 
 
-@contextmanager
-def _compilation_reports(context: SpawnContext) -> Iterator[Connection]:
-    """Pipe by which workers report compilations, which are passed on to the observers of this process."""
-    ears, mouth = context.Pipe(duplex=False)
-    over, latest = threading.Event(), dict[int, Compilation]()
-
-    def listen() -> None:
-        while not over.is_set():
-            if ears.poll(_LISTENS_S):
-                worker, compilation = ears.recv()
-                latest[worker] = compilation
-                PROCESS.tell(joint(latest.values()))
-
-    listener = threading.Thread(target=listen, name="compilation of workers", daemon=True)
-    listener.start()
-    try:
-        yield mouth
-    finally:
-        over.set()
-        listener.join()
-        if latest:
-            PROCESS.tell(replace(joint(latest.values()), busy=False))  # the workers' compilations have ended with them
-        mouth.close()
-        ears.close()
-
-
 def _submitted(pool: ProcessPoolExecutor, function: Callable[[T], R], item: T) -> Future[R]:
     """Future of a call, already failed if the pool is broken."""
     try:
@@ -186,18 +156,11 @@ def _end(children: Iterable[BaseProcess]) -> None:
         child.terminate()
 
 
-def prepare_worker(reports: Connection | None = None) -> None:
-    """Limit the worker to one thread, ignore Ctrl-C (for the main process), and report compilations to a pipe."""
+def prepare_worker() -> None:
+    """Limit the worker to one thread, and ignore Ctrl-C, which is for the main process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.environ.update(dict.fromkeys(THREADS, "1"))  # for libraries that are loaded later
     threadpool_limits(limits=1)
-    if reports is not None:
-
-        def tell(compilation: Compilation) -> None:
-            with suppress(OSError):  # no reader is left
-                reports.send((os.getpid(), compilation))
-
-        PROCESS.observers.append(tell)
 
 
 @final

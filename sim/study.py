@@ -1,4 +1,4 @@
-"""Closed-loop study: files opened, models compiled, controllers built, and runs of one controller along one motion."""
+"""Closed-loop study: files opened, controllers built, and runs of one controller along one motion."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def prepare(config: SimulationConfig, known: ControllerModel | None = None) -> S
         files=(*plant_files(config.plant), *models),
     )
     for name, settings in config.controllers.items():
-        _warm_up(study, name, settings)
+        _try_out(study, name, settings)
     return study
 
 
@@ -147,8 +147,8 @@ def _as_settings(limits: CommandLimits) -> ModelledLimitsSettings:
     return ModelledLimitsSettings(lower=limits.lower, upper=limits.upper, rate_per_s=limits.rate)
 
 
-def _warm_up(study: Study, name: str, settings: AnyControllerSettings) -> None:
-    """Build a controller and take one step, to raise errors before any run and to compile kernels."""
+def _try_out(study: Study, name: str, settings: AnyControllerSettings) -> None:
+    """Build a controller and take one step, so that errors are raised before any run."""
     try:
         controller, y = study.controller(settings), study.plant.reset()
         state = controller.init(y, study.plant.rest_command)

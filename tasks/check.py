@@ -98,7 +98,7 @@ def check(
     checked = LogsCheck(tuple(reports))
     if chain is None or checked.worst is Severity.ERROR:
         return checked
-    from hystmpc.gap.diagnose import detectable_in_logs  # compiles
+    from hystmpc.gap.diagnose import detectable_in_logs  # scipy takes long to import
 
     if progress is not None:
         progress(len(single), len(single), "what the logs would show")

@@ -66,7 +66,7 @@ def diagnose(
     recorded = recorded_trials(as_list(trials), layout)
     if say is not None:
         warn_of_units(recorded, say)
-    from hystmpc.gap.diagnose import diagnose_trials  # compiles: imported after all checks
+    from hystmpc.gap.diagnose import diagnose_trials  # scipy takes long to import: after all checks
 
     with figures_to(figures):
         done = diagnose_trials(

@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hystmpc.trials.brief import in_brief
+from hystmpc.trials.brief import about, in_brief
 from hystmpc.trials.errors import ConfigError, FitError, in_a_line
 from hystmpc.trials.files import figures_to
 from hystmpc.trials.read import AnyLayout, Log
@@ -277,7 +277,6 @@ def _warn_of_limits(trials: Sequence[Trial], limits: Range | None, say: Say | No
 def _identify(
     kind: ModelKind, trials: Sequence[Trial], request: FitRequest, progress: Progress | None, say: Say | None
 ) -> Identified:
-    from hystmpc.models.kernels.compiling import about
     from hystmpc.models.kinds.kind import identified
 
     kind.check(trials, request)

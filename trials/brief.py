@@ -1,4 +1,4 @@
-"""One-line text (`repr`) of a result for Python and notebooks, with arrays shown by their shape."""
+"""Short texts: a result in one line (`repr`), with arrays shown by their shape, and a duration in words."""
 
 from __future__ import annotations
 
@@ -26,6 +26,15 @@ def brief(self: Any) -> str:
     """Short `__repr__` of a dataclass of results: arrays by their shape, sequences by their length."""
     parts = (f"{f.name}={_shortened(getattr(self, f.name))}" for f in fields(self) if f.repr)
     return in_brief(self, ", ".join(parts))
+
+
+def about(seconds: float) -> str:
+    """A duration in words, no finer than an estimate is worth: 4 s, 25 s, 2.5 min."""
+    if seconds < 9.5:
+        return f"{max(1, round(seconds))} s"
+    if seconds < 87.5:
+        return f"{5 * round(seconds / 5)} s"
+    return f"{round(2 * seconds / 60) / 2:g} min"
 
 
 def _shortened(value: Any) -> str:

@@ -148,7 +148,7 @@ def assemble(settings: TipSettings, folder: Path) -> Assembly:
 
 
 def _warm_up(controller: GuardedController[Any], rest_deg: float, limits: CommandLimits) -> None:
-    """Take two steps from rest along a moving reference, so that kernels are compiled and workspaces exist."""
+    """Take two steps from rest along a moving reference: the engine is loaded, the solver has its workspace."""
     state, wanted = controller.init(rest_deg, limits.lower), rest_deg + np.arange(1.0, controller.horizon + 1)
     _, state = controller.step(state, rest_deg, wanted)
     command, state = controller.step(state, rest_deg, wanted)

@@ -90,7 +90,7 @@ class TipController:
 
     @classmethod
     def from_config(cls, source: Path | str | Mapping[str, Any] | TipSettings) -> Self:
-        """Build a controller that is ready to step: files opened, kernels compiled, first steps taken.
+        """Build a controller that is ready to step: files opened, first steps taken.
 
         Args:
             source: a YAML file or mapping, see `TipSettings`; relative file names start at the file's folder.
@@ -101,7 +101,7 @@ class TipController:
             ControllerError: if the settings contradict each other or the model.
             FitError: if a network has no `inverse` and none can be fitted.
         """
-        from .settings import assemble  # CasADi, onnxruntime and numba take longer than a second to import
+        from .settings import assemble  # CasADi and onnxruntime take long to import
 
         settings, folder = read_settings(source)
         return cls(assemble(settings, folder), settings)

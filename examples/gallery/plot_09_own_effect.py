@@ -2,7 +2,7 @@ r"""
 Write your own effect
 =====================
 
-An effect is an operator: one equation, written once with CasADi symbols. All else follows from it: the compiled
+An effect is an operator: one equation, written once with CasADi symbols. All else follows from it: the
 simulation, derivatives for the controller, and the ONNX file. This page writes an effect that the library does not have
 and puts it before a hysteresis core.
 """

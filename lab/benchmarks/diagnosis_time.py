@@ -5,9 +5,8 @@
     python lab/benchmarks/diagnosis_time.py --trials 100 --seconds 600      # minutes, below 2 GB
 
 The device is one of the blind check (capstan, dahl or rod), with creep in its tendon and a slow servo; its simulator is
-identified before these effects are added. Recording and identification do not count. The first diagnosis of an
-installation compiles its kernels, which takes minutes and is kept on disk: `--repeat 2` shows one with and one without.
-The peak of memory is that of the process, recording and identification included.
+identified before these effects are added. Recording and identification do not count. `--repeat 2` shows how far times
+vary. The peak of memory is that of the process, recording and identification included.
 """
 
 from __future__ import annotations

@@ -196,7 +196,7 @@ def main() -> int:
         json={"type": Path, "help": "write the figures here"},
     )
     settings = {"model": given.model, "controller": {"kind": given.kind}}
-    start_times(settings)  # kernels that are not in the cache yet are compiled once in a machine's life
+    start_times(settings)  # the disk's files are read once
     imported, first = start_times(settings)
     runs = [endure(settings, rate, given.steps, given.realtime) for rate in given.rate or [25.0, 250.0]]
     show(_COLUMNS, map(_row, runs))

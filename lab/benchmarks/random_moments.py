@@ -225,7 +225,7 @@ def campaign(kinds: Sequence[str], moments: int, lanes: int, seed: int, folder: 
     """Play the given number of moments of each kind, divided among the lanes."""
     draws = np.random.default_rng(seed)
     work = [(kind, float(draws.uniform(0.0, MOTION_S))) for _ in range(moments) for kind in kinds]
-    tracking_phase(load_run(write_run(_CASE, folder, Link())))  # compiled and imported once, for all that are forked
+    tracking_phase(load_run(write_run(_CASE, folder, Link())))  # imported once, for all that are forked
     lanes = min(lanes, len(work))
     with ProcessPoolExecutor(lanes, multiprocessing.get_context("fork"), dies_with_its_parent) as pool:
         parts = pool.map(lane_of, [folder / str(k) for k in range(lanes)], [work[k::lanes] for k in range(lanes)])

@@ -45,7 +45,7 @@ signal.signal(signal.SIGHUP, lambda number, frame: os.killpg(child, number))
 code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 sys.exit(code if code >= 0 else 128 - code)
 """
-_START_S = 60.0  # imports and compilation on a busy machine
+_START_S = 60.0  # imports on a busy machine
 _END_S = 240.0
 _ENDLESS = 124
 _POLL_S = 0.002

@@ -151,7 +151,7 @@ def study_splits(settings: PaperSettings) -> Splits:
     if settings.study == "real":
         splits = {LOGS: _logs(settings)}
     else:
-        from ..datasets import make_dataset  # compiles its devices
+        from ..datasets import make_dataset
 
         splits = make_dataset(settings.study, settings.seed).splits
     return {name: _shortened(name, trials) for name, trials in splits.items()} if settings.quick else dict(splits)

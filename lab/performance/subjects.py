@@ -112,9 +112,9 @@ class Clock:
     def measure(self, jobs: Sequence[TimedCall], threads: int = 1) -> Mapping[str, Times]:
         """Measure the times by name; after Ctrl-C those of the jobs run so far.
 
-        Every job is called once before: to compile, to warm up, and to estimate its duration. The order is rotated by
-        one from turn to turn. The first call of a burst is not counted, since it reloads the caches after another job;
-        a job too long for bursts is always counted.
+        Every job is called once before: to load libraries, to warm up, and to estimate its duration. The order is
+        rotated by one from turn to turn. The first call of a burst is not counted, since it reloads the caches after
+        another job; a job too long for bursts is always counted.
 
         Args:
             threads: of BLAS and OpenMP in this process.

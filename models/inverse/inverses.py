@@ -159,7 +159,7 @@ def check_inverse_map(inverse_map: ModelMetadata, model: ModelMetadata) -> None:
 
 
 _HOLDS = (2, 4)  # samples after which the response to the command's speed has decayed, if ever
-_MOST_INSTRUCTIONS = 1000  # of the step of a hold: numba compiles more for minutes
+_MOST_INSTRUCTIONS = 1000  # of the step of a hold, which a search for a command runs many times
 _RAMP_S, _REST_S = 2.0, 0.4
 _SAMPLES = (10, 200)  # samples of the ramp
 _SHARE = 0.5  # share of the range of angles

@@ -1,1 +1,1 @@
-"""Compiled roll-outs and exact sensitivities, made by numba on the user's machine without a compiler."""
+"""Loops that numba compiles until the engine has them."""

@@ -14,7 +14,6 @@ from ..identify.auto import AutoFit, auto_chain, identify_auto
 from ..identify.chain_fit import OperatorFitSettings, identify_chain, methods_by_training
 from ..identify.chain_kinds import ChainKind
 from ..identify.simulators import simulator_of
-from ..kernels.compiling import expecting
 from ..model import FitProgress
 from ..simulator import simulator_bundle
 from .kind import FitRequest, Identified, ModelKind, recorded
@@ -55,7 +54,6 @@ class OperatorKind(ModelKind):
 
 
 _STEPS = 100  # steps of the progress
-_COMPILES_S = 150.0  # time to compile the kernels of all operators without a cache
 
 
 @final
@@ -68,7 +66,6 @@ class AutoKind(ModelKind):
     readable = True
     invertible = False
 
-    @expecting(_COMPILES_S)
     def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
         self.check(trials, request)
         if not trials:

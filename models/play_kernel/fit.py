@@ -158,7 +158,7 @@ def play_kernel_seconds(trials: Sequence[Trial], settings: PlayKernelSettings) -
     if samples < _SOON:
         return None
     head = trials[0].select(0, BLOCK)
-    _ = Course(head, 0, frame, 0.0).moments  # compile before the measurement of time
+    _ = Course(head, 0, frame, 0.0).moments  # what is loaded once is no part of the time
     start = time.perf_counter()
     course = Course(head, 0, frame, max(settings.lags_s))
     course.scatter(np.zeros((course.moments.mean.size, len(settings.smoothness))))

@@ -74,7 +74,7 @@ def run_experiment(
 
 
 def tracking_phase(settings: RunSettings, threaded: bool = True, note: Note = lambda text: None) -> Tracking:
-    """Build the phase that tracks the reference of an experiment, with its controller compiled and warmed up.
+    """Build the phase that tracks the reference of an experiment, with its controller built and its first steps taken.
 
     Args:
         threaded: whether the transfer to the controller runs in a thread, see `Tracking`.

@@ -1,18 +1,15 @@
-"""What is shown of long computations where standard error is no terminal, and how compilation is among it."""
+"""What is shown of long computations: lines where standard error is no terminal, else bars."""
 
 from __future__ import annotations
 
 import io
 from itertools import pairwise
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
 from hystmpc.cli.bars import EVEN, EVERY_S, FIRST_S, Screen
-from hystmpc.models.kernels.compiling import Compilation, watching
-from hystmpc.sim.jobs import Processes
 
 
 class Seen:
@@ -89,43 +86,6 @@ def test_a_line_a_stage() -> None:
     ]
 
 
-def test_compilation_is_said_at_once_and_is_no_part_of_the_time_left() -> None:
-    seen = Seen()
-    work = seen.screen.open("demo", 10, EVEN)
-    seen.screen.compiles(Compilation(0.0, 30.0, True, 2.0))
-    seen._read()
-    assert seen.lines == [(0.0, "compiling, first use only, about 30 s")]
-    seen.tell(work, 0)
-    seen.wait(30.0)
-    assert [line for _, line in seen.lines[1:]] == [
-        "compiling, first use only: 33 %, about 20 s left",
-        "compiling, first use only: 67 %, about 10 s left",
-        "compiling, first use only: 100 %, about 1 s left",
-    ]
-    seen.screen.compiles(Compilation(30.0, 30.0, False))
-    for k in range(10):
-        seen.wait(2.0)
-        seen.tell(work, k + 1)
-    assert "demo: 40 %, about 10 s left" in [line for _, line in seen.lines]
-
-
-def test_compilation_with_a_small_beginning_is_said_after_a_second() -> None:
-    """A small function may be all that is needed of a module."""
-    seen = Seen()
-    seen.screen.compiles(Compilation(0.0, 30.0, True, 0.3))
-    seen.wait(3.0)
-    assert seen.lines == [(0.75, "compiling, first use only, about 30 s")]
-
-
-def test_compilation_that_is_short_is_not_said() -> None:
-    seen = Seen()
-    for k in range(5):
-        seen.screen.compiles(Compilation(0.1 * k, 0.1 * k + 0.1, True))
-        seen.wait(0.25)
-        seen.screen.compiles(Compilation(0.1 * k + 0.1, 0.1 * k + 0.1, False))
-    assert seen.lines == []
-
-
 def test_a_terminal_gets_bars_with_the_time_left() -> None:
     seen = Seen(terminal=True)
     work = seen.screen.open("fit auto", 10, EVEN)
@@ -133,24 +93,7 @@ def test_a_terminal_gets_bars_with_the_time_left() -> None:
         seen.screen.tell(work, k, "best 0.2 deg", None)
         seen.now += 2.0
         seen.screen.tick()
-    seen.screen.compiles(Compilation(0.0, 30.0, True, 2.0))
     seen.screen.close(work)
     text = seen.file.getvalue()
-    for words in ("fit auto", "50%", "left 0:09", "best 0.2 deg", "compiling, first use only"):
+    for words in ("fit auto", "50%", "left 0:09", "best 0.2 deg"):
         assert words in text
-
-
-COMPILES = """
-from hystmpc.models.kernels.compiling import PROCESS
-PROCESS.begins(0, "module", 95_000)
-PROCESS.ends()
-"""
-
-
-@pytest.mark.slow
-def test_what_workers_compile_is_told_where_they_were_asked() -> None:
-    told: list[Compilation] = []
-    with watching(told.append):
-        assert list(Processes(2).results(exec, [COMPILES] * 3)) == [None] * 3
-    assert any(found.busy and found.total_s > 10.0 for found in told)
-    assert not told[-1].busy

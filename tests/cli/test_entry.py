@@ -33,7 +33,7 @@ def test_ctrl_c_during_the_start_is_quiet(after_s: float) -> None:
     assert "Traceback" not in said
 
 
-HEAVY = ("numba", "casadi", "matplotlib", "scipy", "pydantic", "onnx", "onnxruntime", "torch")
+HEAVY = ("casadi", "matplotlib", "scipy", "pydantic", "onnx", "onnxruntime", "torch")
 
 
 def test_help_lists_every_verb_and_imports_none() -> None:

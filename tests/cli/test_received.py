@@ -244,7 +244,7 @@ def test_an_entry_point_of_an_installed_package_needs_no_yes(lab: Path, monkeypa
     assert load_simulation(lab / "given.yaml").controllers["own"].resolved().kind == "planted"  # type: ignore[attr-defined]
 
 
-STANDARD = ("json", "struct", "pickle", "socket", "logging", "typing", "types", "numpy", "yaml", "pydantic", "numba")
+STANDARD = ("json", "struct", "pickle", "socket", "logging", "typing", "types", "numpy", "yaml", "pydantic")
 
 
 @pytest.fixture

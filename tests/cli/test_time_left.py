@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.cli.bars import EVEN, RISE_PER_S, Pace, TimeLeft, clock_words
+from hystmpc.trials.brief import about
 
 SPEEDS = st.lists(st.floats(0.25, 1.0), min_size=2, max_size=6)  # of stages, four times as fast at most
 
@@ -66,20 +67,6 @@ def test_a_step_that_takes_long_is_waited_for_without_a_jump() -> None:
     assert 0.0 < (left.seconds(33.0) or 0.0) <= 5.0
 
 
-def test_a_pause_does_not_count() -> None:
-    paused, plain = TimeLeft(), TimeLeft()
-    for left, late in ((paused, 100.0), (plain, 0.0)):
-        left.reported(0.0, 0.0)
-        left.reported(0.2, 4.0)
-        if late:
-            left.pause(5.0)
-            during = left.seconds(50.0)
-            left.go_on(105.0)
-            assert during == pytest.approx(15.0, abs=0.5)
-        left.reported(0.4, 8.0 + late)
-    assert paused.seconds(109.0) == pytest.approx(plain.seconds(9.0), abs=2.0)
-
-
 def test_a_new_count_begins_where_less_is_told() -> None:
     left = TimeLeft()
     left.reported(0.9, 100.0)
@@ -94,6 +81,13 @@ def test_words_are_never_less_than_the_time_and_little_more(seconds: float) -> N
     parts = [int(part) for part in clock_words(seconds).split(":")]
     value = sum(part * 60**k for k, part in enumerate(reversed(parts)))
     assert seconds <= value <= max(seconds + 10.0, math.ceil(seconds))
+
+
+@given(seconds=st.floats(0.0, 5000.0))
+def test_a_duration_in_words_is_near(seconds: float) -> None:
+    number, unit = about(seconds).split()
+    value = float(number) * {"s": 1.0, "min": 60.0}[unit]
+    assert abs(value - seconds) <= max(0.25 * seconds, 1.0)
 
 
 def test_words() -> None:

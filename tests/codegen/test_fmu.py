@@ -78,7 +78,7 @@ DT = 0.04
 
 @cache
 def plant_of(name: str) -> SimulatedPlant:
-    """One of `PLANTS`; its kernels are compiled when it is asked for."""
+    """One of `PLANTS`, made when it is asked for."""
     found, told = PLANTS[name]
     return SimulatedPlant(found, **told)
 

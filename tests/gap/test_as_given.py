@@ -113,7 +113,7 @@ def label(operator: Operator) -> str:
 FORWARD = [
     o
     for o in EXAMPLES
-    if not o.name.startswith("inverse") and o.name != "delay"  # a store of another size compiles
+    if not o.name.startswith("inverse") and o.name != "delay"  # a store has another size
 ]
 PAIRS = [(own, log) for own in RATES for log in RATES if log >= own]
 

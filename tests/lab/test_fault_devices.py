@@ -228,7 +228,7 @@ def test_a_tip_far_beyond_its_angle_limits_is_found(top: float, fails: bool) -> 
 
 
 def play(mover: Mover, spec: DeviceSpec, folder: Path, healthy: bool = False, **how: Any) -> DeviceVerdict:
-    """One play with a PID, which needs no compiling."""
+    """One play with a PID."""
     made = DevicePlay(DeviceCase(spec, healthy), mover, How(law="pid", **how))
     return played(made, folder / "play")
 

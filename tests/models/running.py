@@ -26,7 +26,7 @@ def operator_rest(operator: Operator, u: float, seen: float) -> np.ndarray:
 
 
 def run_chain(chain: Chain, u: np.ndarray, seen: float = 0.0, dt: float = DT) -> np.ndarray:
-    """Output of a chain over `u` from rest at the first input, by CasADi alone: nothing is compiled."""
+    """Output of a chain over `u` from rest at the first input, by CasADi alone."""
     import casadi as ca
 
     x, command = ca.SX.sym("x", chain.state_size), ca.SX.sym("u")

@@ -27,7 +27,7 @@ Rng = np.random.Generator
 
 
 class StagedModel(LoadedModel):
-    """A simulator run operator by operator: no structure needs a compilation of its own."""
+    """A simulator run operator by operator."""
 
     def __init__(self, device: Simulator) -> None:
         super().__init__(device.metadata(), "initial")

@@ -36,7 +36,7 @@ def recurrent() -> ExportBundle:
 
 
 def window() -> ExportBundle:
-    """A history buffer with a stride, too many operations to be compiled."""
+    """A history buffer with a stride, too many operations for the engine."""
     weights = svr_weights(stride=2, lags=16)
     rule = {"offset": (0.0,) * weights.state_size, "slope": (0.0,) * weights.state_size}
     changes = {"kind": "svr", "initial": rule, "conditioned": rule, "warmup_samples": weights.state_size}
@@ -93,7 +93,7 @@ def test_both_ways_to_the_tangent_are_tried(tmp_path: Path) -> None:
     assert ways == [False, True, True]
 
 
-def test_what_is_small_is_compiled_and_the_rest_is_not(tmp_path: Path) -> None:
+def test_what_is_small_runs_in_the_engine_and_the_rest_does_not(tmp_path: Path) -> None:
     kinds = {}
     for name, system in SYSTEMS.items():
         export_onnx(system(), tmp_path / f"{name}.onnx")

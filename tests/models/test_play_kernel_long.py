@@ -31,7 +31,7 @@ def test_a_fit_holds_the_features_of_one_block_only() -> None:
     """Of these 100,000 samples the features alone are 146 MB; what is held must not grow with them."""
     trials = [long_trial(k, 50_000) for k in range(2)]
     settings = PlayKernelSettings(lags_s=(0.0, 0.02), smoothness=(3e-6,))
-    fit_play_kernel([t.select(0, 500) for t in trials], settings)  # what is compiled and imported once
+    fit_play_kernel([t.select(0, 500) for t in trials], settings)  # what is imported once
     tracemalloc.start()
     try:
         fit_play_kernel(trials, settings)
