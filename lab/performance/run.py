@@ -6,8 +6,8 @@ import os
 import platform
 from collections.abc import Callable, Iterator
 from functools import partial
-from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import Any
 
 from hystmpc.trials.types import Progress
@@ -71,6 +71,13 @@ def _sections(
         yield f"linearised MPC with the {subject.name}", partial(linearised_rows, subject, settings, clock)
 
 
+def _processor() -> str:
+    """Name of the processor, as its system gives it."""
+    lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines() if Path("/proc/cpuinfo").exists() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or "unknown"
+
+
 def machine() -> dict[str, Any]:
     """Processor, cores, their load over the last minute, and versions of the software involved."""
     versions = {}
@@ -80,7 +87,7 @@ def machine() -> dict[str, Any]:
         except PackageNotFoundError:
             versions[package] = "not installed"
     return {
-        "processor": import_module("llvmlite.binding").get_host_cpu_name(),
+        "processor": _processor(),
         "architecture": platform.machine(),
         "cores": os.cpu_count(),
         "load_at_start": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,

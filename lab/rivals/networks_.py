@@ -14,12 +14,11 @@ import torch
 from onnx import TensorProto
 
 from hystmpc.models.contract.onnx_nodes import operator_nodes
-from hystmpc.models.program import dense
 from hystmpc.models.networks.network_ import Network, numbers
 from hystmpc.models.networks.nodes import GraphWriter
 from hystmpc.models.networks.recurrent_ import LstmNet
 from hystmpc.models.operators.operator import Operator
-from hystmpc.models.program import dense, scalar_program
+from hystmpc.models.program import dense
 from hystmpc.trials.types import Vec
 
 

@@ -11,7 +11,6 @@ from collections import defaultdict
 from .source import LAB, ROOT, Module, modules
 
 GLOSSARY = ROOT / "docs" / "reference" / "glossary.md"
-REPLACED_NEXT = ("models/kernels/",)  # the issue of the engine removes it: its names stay until then
 ROW = re.compile(r"^\|[^|]*\|[^|]*\| `(\w+)` \|$", re.MULTILINE)
 
 
@@ -42,16 +41,14 @@ def test_the_glossary_rules_words_out_and_a_name_with_one_is_seen() -> None:
 
 
 def test_names_are_the_words_of_the_glossary() -> None:
-    files = [m for m in product() if not m.where.startswith(REPLACED_NEXT)]
-    wrong = {m.where: sorted(names(m.path.read_text(encoding="utf-8"))) for m in files}
+    wrong = {m.where: sorted(names(m.path.read_text(encoding="utf-8"))) for m in product()}
     assert {where: bad for where, bad in wrong.items() if bad} == {}
 
 
 def test_a_class_name_is_used_once() -> None:
     places = defaultdict(list)
     for module in product():
-        if not module.where.startswith(REPLACED_NEXT):
-            for node in module.nodes:
-                if isinstance(node, ast.ClassDef):
-                    places[node.name.lstrip("_")].append(module.where)
+        for node in module.nodes:
+            if isinstance(node, ast.ClassDef):
+                places[node.name.lstrip("_")].append(module.where)
     assert {name: where for name, where in places.items() if len(where) > 1} == {}

@@ -1,1 +1,0 @@
-"""Loops that numba compiles until the engine has them."""
