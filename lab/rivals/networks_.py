@@ -187,7 +187,7 @@ def _by_sample(part: torch.Tensor) -> Vec:
     return np.ascontiguousarray(np.swapaxes(part.detach().double().numpy(), 0, 1))
 
 
-def _evaluate(function: Any, inputs: Sequence[Vec], outputs: Sequence[Vec]) -> None:
+def _evaluate(function: Any, inputs: Sequence[Any], outputs: Sequence[Any]) -> None:
     """Evaluate a CasADi function on the memory of contiguous arrays."""
     buffer, evaluate = function.buffer()
     for k, part in enumerate(inputs):
