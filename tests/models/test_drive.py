@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
+from hystmpc.core.library import engine
 from hystmpc.models.chain import Chain, split
 from hystmpc.models.inverse.drive import Drive, DrivenInverse, bounded_moves, first_acting
 from hystmpc.models.inverse.inverses import Bounds, follower_for
@@ -71,14 +74,19 @@ def test_moves_stay_within_the_reach(name: str, seed: int, reach: float) -> None
     assert np.max(np.abs(np.diff(inputs, prepend=2.0))) <= reach * (1 + 1e-9)
 
 
+def engine_moves(by_move: np.ndarray, off: np.ndarray, moves: np.ndarray, reach: float, weight: float) -> None:
+    engine().bounded_moves(by_move, off, H, reach, weight, moves, np.empty(2 * H * (H + 2)))
+
+
+@pytest.mark.parametrize("solve", [bounded_moves, engine_moves], ids=["numba", "engine"])
 @given(seed=st.integers(0, 10_000), reach=st.floats(0.02, 1.0), gain=st.floats(0.1, 1.0))
 @settings(max_examples=40, deadline=None)
-def test_the_program_is_solved_as_scipy_solves_it(seed: int, reach: float, gain: float) -> None:
+def test_the_program_is_solved_as_scipy_solves_it(solve: Any, seed: int, reach: float, gain: float) -> None:
     age = np.subtract.outer(np.arange(H), np.arange(H))
     by_move = np.where(age >= 0, 1.0 - (1.0 - gain) ** (np.maximum(age, 0) + 1.0), 0.0)
     off, weight = np.cumsum(np.random.default_rng(seed).normal(0.0, 0.5, H)), 1e-3
     moves = np.zeros(H)
-    bounded_moves(by_move, off, moves, reach, weight)
+    solve(by_move, off, moves, reach, weight)
     rows, right = np.vstack([by_move, np.sqrt(weight) * np.eye(H)]), np.append(off, np.zeros(H))
     exact = lsq_linear(rows, right, (-reach, reach), tol=1e-12)
     assert np.max(np.abs(moves)) <= reach
@@ -90,7 +98,9 @@ def test_a_delay_is_seen_in_the_response() -> None:
     held = found.held(state, 2.0, H)
     assert held.first == found.delay_samples == 2
     np.testing.assert_allclose(held.outputs, 2.0)
-    assert first_acting(np.zeros((H, H))) == 0 or first_acting(np.zeros((H, H))) == H
+    for first in (first_acting, lambda response: engine().first_acting(response, H)):
+        assert first(np.zeros((H, H))) == H
+        assert first(np.eye(H, k=-3)) == 3
 
 
 def test_a_chain_is_cut_at_its_dynamics() -> None:
