@@ -5,7 +5,7 @@
 #include <stddef.h>
 
 long hystmpc_lead_drive_bytes(const int *chain, int samples) {
-    const long numbers = 2L * samples * samples + 4L * samples + hystmpc_moves_reals(samples);
+    const long numbers = 2L * samples * samples + 4L * samples + 2L * samples * (samples + 2);
     return hystmpc_chain_linearise_bytes(chain, samples) + numbers * (long)sizeof(real) + 64;
 }
 
