@@ -70,7 +70,7 @@ class _Array:
         if array is None:
             return None
         if array.dtype is cls.kind:  # this way takes half the time of the next
-            try:  # noqa: SIM105 - `suppress` takes as long as the rest
+            try:  # `suppress` takes as long as the rest
                 return _NO_BYTES.from_buffer(array)
             except (TypeError, ValueError, BufferError):
                 pass  # read-only, or not contiguous
