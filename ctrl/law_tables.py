@@ -119,11 +119,11 @@ class LawTables:
     @property
     def room(self) -> int:
         """Address of this thread's room."""
-        found: tuple[NDArray[np.uint8], int] | None = getattr(self._per_thread, "room", None)
-        if found is None:
+        room: tuple[NDArray[np.uint8], int] | None = getattr(self._per_thread, "room", None)
+        if room is None:
             memory = np.zeros(self._bytes, dtype=np.uint8)
-            found = self._per_thread.room = memory, int(memory.ctypes.data)
-        return found[1]
+            room = self._per_thread.room = memory, int(memory.ctypes.data)
+        return room[1]
 
     def step_room(self) -> tuple[int, int]:
         """Numbers and whole numbers that one planning step needs, for an exported controller."""
