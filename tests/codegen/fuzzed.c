@@ -56,15 +56,17 @@ static int state_finite(const hystmpc_controller *c) {
                  finite_all(c->predicted, c->planned);
 #if HYSTMPC_LEARNS
     const hystmpc_learning *l = &c->learning;
-    finite &= estimate_finite(&c->plain) && finite_all(l->history, COUNT(l->history)) && finite_all(l->z, COUNT(l->z)) &&
-              finite_all(l->covariance, COUNT(l->covariance)) && finite_all(l->frozen, COUNT(l->frozen)) &&
-              finite_all(l->sums, COUNT(l->sums)) && finite_all(l->scores, COUNT(l->scores)) &&
-              isfinite(l->forecast_error) && isfinite(l->share) && finite_all(l->added, COUNT(l->added));
+    const hystmpc_filters *f = &l->filters;
+    finite &= estimate_finite(&c->plain) && finite_all(l->past, COUNT(l->past)) &&
+              finite_all(l->added, COUNT(l->added)) && finite_all(f->z, COUNT(f->z)) &&
+              finite_all(f->covariance, COUNT(f->covariance)) && finite_all(f->frozen, COUNT(f->frozen)) &&
+              finite_all(f->sums, COUNT(f->sums)) && finite_all(f->scores, COUNT(f->scores)) &&
+              isfinite(f->forecast_error) && isfinite(f->share);
 #endif
 #if HYSTMPC_SUPERVISED
-    const hystmpc_feedback *f = &c->feedback;
-    if (f->level) finite &= isfinite(f->integral) && isfinite(f->speed) && isfinite(f->angle) && isfinite(f->age);
-    if (f->level == 1) finite &= isfinite(f->u_alone) && isfinite(f->followed) && isfinite(f->error);
+    const hystmpc_feedback *b = &c->feedback;
+    if (b->level) finite &= isfinite(b->integral) && isfinite(b->speed) && isfinite(b->angle) && isfinite(b->age);
+    if (b->level == 1) finite &= isfinite(b->u_alone) && isfinite(b->followed) && isfinite(b->error);
 #endif
     return finite;
 }
