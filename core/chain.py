@@ -8,7 +8,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, Protocol, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,15 @@ Array = NDArray[np.float64]
 Whole = NDArray[np.intc]
 
 _local = threading.local()
+
+
+class Network(Protocol):
+    """A recurrent network as the engine reads it: address of its numbers, functions that they are packed for."""
+
+    @property
+    def address(self) -> int: ...
+    @property
+    def functions(self) -> Any: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,17 +186,23 @@ class ChainCode:
         return float(self.functions.chain_command_for(self.code, kept, state, wanted, low, high, last, memory))
 
     def follow(
-        self, kept: Array, state: Array, wanted: Array, last: float, bounds: Array, inverted: Array, network: int | None
+        self,
+        kept: Array,
+        state: Array,
+        wanted: Array,
+        last: float,
+        bounds: Array,
+        inverted: Array,
+        network: Network | None,
     ) -> Array:
         """Commands (2, H) along the angles `wanted` (H,): within the box alone, and within the rate limit too.
 
         Args:
-            network: address of a network beside which the chain runs, see `follow.h`; None for none.
+            network: beside which the chain runs, see `follow.h`; None for none.
         """
-        plans, memory = np.empty((2, wanted.size)), _memory(self.functions.follow_bytes(self.code, network))
-        self.functions.follow(
-            self.code, kept, network, state, wanted, wanted.size, last, bounds, inverted, plans, memory
-        )
+        functions, address = (self.functions, None) if network is None else (network.functions, network.address)
+        plans, memory = np.empty((2, wanted.size)), _memory(functions.follow_bytes(self.code, address))
+        functions.follow(self.code, kept, address, state, wanted, wanted.size, last, bounds, inverted, plans, memory)
         return plans
 
     def lead(
@@ -238,7 +253,7 @@ class PreparedChain:
         return self.code.command_for(self._kept, _doubles(state), wanted, low, high, last)
 
     def follow(
-        self, state: Array, wanted: Array, last: float, bounds: Array, inverted: Array, network: int | None = None
+        self, state: Array, wanted: Array, last: float, bounds: Array, inverted: Array, network: Network | None = None
     ) -> Array:
         """Commands (2, H) along the outputs `wanted` (H,), see `ChainCode.follow`."""
         return self.code.follow(self._kept, _doubles(state), _doubles(wanted), last, bounds, inverted, network)

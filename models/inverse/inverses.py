@@ -281,8 +281,7 @@ class CompiledFollower(Follower):
     def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
         if not np.isfinite(state).all():  # a clamp of a network's gates would hide not-a-number
             return np.full((2, wanted.size), u_last)
-        address = None if self._route is None else self._route.address
-        return self._run.follow(state, wanted, u_last, np.array(bounds), self._inverted, address)
+        return self._run.follow(state, wanted, u_last, np.array(bounds), self._inverted, self._route)
 
 
 @final

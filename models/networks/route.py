@@ -39,6 +39,7 @@ class NetworkRoute:
         name: for tables.
         packed: weights as the engine reads them.
         address: of the packed weights, for the engine.
+        functions: of the engine at this level, for which the weights are packed.
 
     Raises:
         ModelError: by each method, if the state is of another size.
@@ -47,32 +48,32 @@ class NetworkRoute:
     def __init__(
         self, weights: NetworkWeights, threads: Callable[[], int] | None = None, level: str | None = None
     ) -> None:
-        self._engine, self._threads = engine(level), threads or allowed_threads
-        lanes = self._engine.network_lanes()
+        self.functions, self._threads = engine(level), threads or allowed_threads
+        lanes = self.functions.network_lanes()
         self.name, self.packed = f"vectors of {lanes}", pack_network(weights, lanes)
         self.address = self.packed.ctypes.data
-        self._size = self._engine.network_state(self.address)
-        self._one = self._engine.network_room(self.address, 1)
-        self._together = self._engine.network_together()
+        self._size = self.functions.network_state(self.address)
+        self._one = self.functions.network_room(self.address, 1)
+        self._together = self.functions.network_together()
 
     def advance(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         """Angles (K,) [deg] along the plan (K,) [command unit] and the state behind it."""
         size, end = self._size, self._size + plan.size
         motion = np.empty(end + self._one)
         motion[:size], motion[size:end] = self._checked(state), plan
-        self._engine.network_advance(self.address, motion, plan.size)
+        self.functions.network_advance(self.address, motion, plan.size)
         return motion[size:end], motion[:size]
 
     def rollout(self, state: Vec, plans: Vec) -> Vec:
         """Angles (N, K) [deg] of the plans (N, K)."""
         angles, count, samples = np.empty(plans.shape), len(plans), plans.shape[1]
         state, plans = _copied(self._checked(state)), _copied(plans)
-        room = self._engine.network_room(self.address, min(count, self._together))
+        room = self.functions.network_room(self.address, min(count, self._together))
 
         def roll(begin: int, end: int) -> None:
             rows = slice(begin, end)
             given = self.address, state, plans[rows], end - begin, samples, angles[rows], np.empty(room)
-            self._engine.network_rollout(*given)
+            self.functions.network_rollout(*given)
 
         most = count // _LEAST_ROWS
         threads = min(self._threads(), most) if most > 1 else 1  # asking takes as long as a row
@@ -85,9 +86,9 @@ class NetworkRoute:
     def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         """Angles (K,) [deg] along the plan (K,) and their derivatives (K, K) by its commands, lower triangular."""
         angles, jacobian = np.empty(plan.size), np.zeros((plan.size, plan.size))
-        work = np.empty(self._engine.network_room(self.address, 1 + plan.size))
+        work = np.empty(self.functions.network_room(self.address, 1 + plan.size))
         given = self.address, _copied(self._checked(state)), _copied(plan), plan.size
-        self._engine.network_linearise(*given, angles, jacobian, work)
+        self.functions.network_linearise(*given, angles, jacobian, work)
         return angles, jacobian
 
     def _checked(self, state: Vec) -> Vec:

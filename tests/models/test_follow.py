@@ -58,7 +58,8 @@ def scenes(predictor: Predictor, follower: Follower, count: int = 12) -> list[tu
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name in ("backlash", "pi") else pytest.mark.slow) for name in CHAINS]
+    "name",
+    [pytest.param(n, marks=() if n in ("backlash", "pi", "lstm, plain") else pytest.mark.slow) for n in CASES],
 )
 def test_compiled_is_sample_by_sample(name: str) -> None:
     predictor, inverse = pair(name, 0.0)
