@@ -43,17 +43,17 @@ import numpy as np
 os.umask(0)
 logging.getLogger("hystmpc.models.kernels.compiling").setLevel(logging.ERROR)  # on a slow machine it is told
 numba.njit(lambda x: 2.0 * x)(1.0)
-import hystmpc.ctrl.mpc
-del sys.modules["hystmpc.ctrl.mpc"]
+import hystmpc.models.inverse.drive
+del sys.modules["hystmpc.models.inverse.drive"]
 
 def start():
-    from hystmpc.ctrl.mpc import run_ahead
+    from hystmpc.models.inverse.drive import first_acting
     from hystmpc.models.kernels.numba_ import generated_module
     generated_module("VALUE = 1\\n")
     if os.geteuid() == 0:
         os.setuid(65534)
-    plan = np.array([0.0, 0.0, 3.0])
-    run_ahead(plan, 1.0)
+    plan = np.array([1.0, 2.0, 3.0])
+    first_acting(np.eye(3))
     text = "@njit(cache=True)\\ndef triple(x):\\n    return 3.0 * x\\n"
     print(plan.tolist(), generated_module(text).triple(2.0), flush=True)
 
@@ -152,7 +152,7 @@ def starts() -> Iterator[Starts]:
 @pytest.mark.parametrize("first", [".nbi", ".nbc"])
 def test_a_damaged_cache_does_not_stop_a_start(damage: Callable[[Path], None], first: str, starts: Starts) -> None:
     """The index of one kernel and the data of the other, then the other way round."""
-    of_package, generated = (sorted(starts.folder.rglob(f"*.{name}-*.nb*")) for name in ("run_ahead", "triple"))
+    of_package, generated = (sorted(starts.folder.rglob(f"*.{name}-*.nb*")) for name in ("first_acting", "triple"))
     assert [path.suffix for path in of_package] == [path.suffix for path in generated] == [".nbc", ".nbi"], "whole"
     damage(next(path for path in of_package if path.suffix == first))
     damage(next(path for path in generated if path.suffix != first))
