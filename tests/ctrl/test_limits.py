@@ -13,6 +13,7 @@ from hystmpc.trials.errors import ControllerError
 LIMITS = CommandLimits(-1.0, 6.0, 12.0)
 DT = 0.04
 GRAIN = 1e-7 * LIMITS.rate * DT  # of the commands of plans
+LIMITS.clip_plans(np.zeros(1), 0.0, DT)  # loads the engine, which may take longer than an example should
 
 
 @given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=20), st.floats(-1.0, 6.0))
