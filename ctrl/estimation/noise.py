@@ -96,8 +96,8 @@ class NoiseBank:
             close = (grid[1] == drift[0]) & (grid[2] == motion[0])
             first[close] = most[close] = (_HELD * max(model_sigma_deg, _LEAST_MODEL_DEG)) ** 2
         self._first, self._widest = first, most
-        block = (*self._counts, self._switching, self._most, limit_deg), *self._tables().values()
-        values = np.concatenate(block).tolist()
+        scalars = np.array([*self._counts, self._switching, self._most, limit_deg])
+        values = np.concatenate([scalars, *self._tables().values()]).tolist()
         self._numbers, self._size = (ctypes.c_double * len(values))(*values), grid.shape[1]
 
     def _tables(self) -> Mapping[str, Vec]:
