@@ -163,9 +163,8 @@ def _engine_files(sizes: Mapping[str, int]) -> Mapping[str, str]:
 
 
 def _for_export(text: str) -> str:
-    """Text of the engine without what its library alone needs; the header of an exported controller says 0 or 1."""
-    text = text.replace("#ifdef HYSTMPC_SINGLE", "#if HYSTMPC_SINGLE").replace('#include "hystmpc_core.h"\n', "")
-    return text.replace("HYSTMPC_API", "HYSTMPC_LOCAL")
+    """Text of the engine without what its library alone needs."""
+    return text.replace('#include "hystmpc_core.h"\n', "").replace("HYSTMPC_API", "HYSTMPC_LOCAL")
 
 
 def _inlined(text: str, left: dict[str, str]) -> str:

@@ -84,7 +84,7 @@ double hystmpc_chain_step(const int *chain, const real *kept, real *x, double u,
 enum { MOST_ROUNDS = 200 };
 
 /* Numbers of the inverse: the angle may miss by MISS, the bracket shrinks to NARROW. */
-#ifdef HYSTMPC_SINGLE
+#if HYSTMPC_SINGLE
 #define MISS R(1e-6)
 #define NARROW R(1e-6)
 #else

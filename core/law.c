@@ -3,7 +3,7 @@
 
 /* Rounding of commands as a share of the greatest move; and of a jump, so that rounding does not change by how many
  * samples a plan is postponed. */
-#ifdef HYSTMPC_SINGLE
+#if HYSTMPC_SINGLE
 static const real command_grain = R(1e-5), jump_rounding = R(1e-5);
 #else
 static const real command_grain = R(1e-7), jump_rounding = R(1e-9);

@@ -2,7 +2,7 @@
  * Computational Statistics 10, 1995). */
 #include "moves.h"
 
-#ifdef HYSTMPC_SINGLE
+#if HYSTMPC_SINGLE
 static const real right_sign = R(1e-5);
 #else
 static const real right_sign = R(1e-10); /* of a multiplier, as a share of the greatest gradient */

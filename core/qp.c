@@ -10,7 +10,7 @@
  * vectors. */
 #include "qp.h"
 
-#ifdef HYSTMPC_SINGLE
+#if HYSTMPC_SINGLE
 static const real dependent_row = R(1e-6), violated_row = R(1e-5);
 #else
 static const real dependent_row = R(1e-12), violated_row = R(1e-6); /* of the squared length and of the length of a row */

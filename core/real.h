@@ -5,7 +5,11 @@
 
 #include <math.h>
 
-#ifdef HYSTMPC_SINGLE /* an exported controller for a processor without double precision */
+#ifndef HYSTMPC_SINGLE
+#define HYSTMPC_SINGLE 0 /* 1: an exported controller for a processor without double precision */
+#endif
+
+#if HYSTMPC_SINGLE
 typedef float real;
 #define R(x) x##f
 #define MATH(name) name##f
