@@ -20,6 +20,10 @@ class BuildWithEngine(build_py):
         super().run()
         _engine.build(_CORE, _CORE if self.editable_mode else Path(self.build_lib) / "hystmpc" / "core")
 
+    def find_package_modules(self, package: str, package_dir: str) -> list[tuple[str, str, str]]:
+        modules = super().find_package_modules(package, package_dir)
+        return [module for module in modules if Path(module[2]).name != "setup.py"]  # it lies where the package does
+
 
 class PlatformWheel(bdist_wheel):
     """A wheel of this platform for every Python: the library knows nothing of Python."""
@@ -35,4 +39,8 @@ class WithLibrary(Distribution):
         return True
 
 
-setup(cmdclass={"build_py": BuildWithEngine, "bdist_wheel": PlatformWheel}, distclass=WithLibrary)
+setup(
+    cmdclass={"build_py": BuildWithEngine, "bdist_wheel": PlatformWheel},
+    distclass=WithLibrary,
+    setup_requires=[] if _engine.compiler() else ["ziglang>=0.13"],  # pip fetches it for the build
+)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from threading import local
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hystmpc.core.library import engine
 from hystmpc.models.inverse.inverses import Bounds
 from hystmpc.trials.errors import ControllerError
-from hystmpc.trials.types import Mat
+from hystmpc.trials.types import Mat, Vec
 
 from .command import CommandLimits
 from .mpc_settings import WeightsSettings
@@ -102,14 +102,15 @@ class LawTables:
     ) -> None:
         soft = weights.limits_angle
         bounds = Bounds(limits.lower, limits.upper, limits.rate * dt) if limits else _NO_BOUNDS
-        parts = [[*bounds, weights.rate, weights.effort, weights.soft_limit if soft else 0.0], weights.over(horizon)]
+        costs = [weights.rate, weights.effort, weights.soft_limit if soft else 0.0]
+        parts: list[Any] = [[*bounds, *costs], weights.over(horizon)]
         starts = ends = np.arange(horizon)
         if blocking is not None:
             starts, ends = blocking.starts, blocking.ends
             parts += [blocking.matrix.ravel(), blocking.constant(weights).ravel()]
         self.horizon, self.bounds, self.soft, self.moves = horizon, bounds, soft, starts.size
         self._whole = np.array([horizon, self.moves, blocking is not None, soft, *starts, *ends], dtype=np.intc)
-        self._numbers = np.concatenate(parts)
+        self._numbers: Vec = np.concatenate(parts)
         self._struct = np.empty(engine().law_size(), dtype=np.uint8)
         engine().law_init(self._whole, self._numbers, self._struct)
         self.address = int(self._struct.ctypes.data)

@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Generic, TypeVar, final
+from typing import Any, Generic, TypeVar, final
 
 import numpy as np
 
@@ -51,7 +51,7 @@ class PlanningProblem:
     def task(self) -> int:
         """Address of the numbers of the problem as the engine takes them: see core/planning.h."""
         horizon = self.reference.size
-        numbers = np.empty(3 + 2 * horizon)
+        numbers: Any = np.empty(3 + 2 * horizon)
         numbers[0] = self.u_last
         numbers[1], numbers[2] = self.angle_limits
         numbers[3 : 3 + horizon] = self.reference

@@ -73,7 +73,8 @@ def _of_structure(kind: type[Operator], structure: tuple[tuple[str, Any], ...]) 
 def _of_text(serialized: str) -> StageProgram:
     function = ca.Function.deserialize(serialized)
     arguments = [ca.SX.sym(f"a{k}", function.size_in(k)) for k in range(4)]
-    return stage_program(arguments, function(*arguments))
+    y, following = function(*arguments)
+    return stage_program(arguments, (y, following))
 
 
 def function_program(function: Any) -> StageProgram:
@@ -107,7 +108,10 @@ def stage_program(arguments: Sequence[Any], step: Sequence[Any], rest: tuple[Any
         np.array(at_rest, dtype=np.intc),
         np.array(main.constants, dtype=np.float64),
         np.array([] if resting is None else resting.constants, dtype=np.float64),
-        *sizes,
+        states=sizes[0],
+        inputs=sizes[1],
+        parameters=sizes[2],
+        outputs=sizes[3],
         kept=len(main.kept),
         registers=main.registers,
     )
@@ -267,7 +271,7 @@ class _Phases:
         return [self._instruction(v, register[v], [register[a] for a in self.read[v]]) for v in self.once]
 
     def _instruction(self, v: int, out: int, read: Sequence[int]) -> list[int]:
-        return [CODES[self.steps[v].name], out, *read, *read[-1:] * (3 - len(read))]
+        return [CODES[self.steps[v].name], out, *read, *[read[-1]] * (3 - len(read))]
 
     def _groups(self, size: int) -> list[list[int]]:
         """States in an order in which each group needs itself and earlier ones alone."""

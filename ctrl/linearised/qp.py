@@ -195,7 +195,7 @@ class OsqpSolver(QpSolver):
     def _build(self) -> Any:
         size, rows = self._pattern.nonzero.shape
         hessian = [np.triu(np.ones((size, size))), sparse.eye(self._slacks.size)]
-        slacks = sparse.eye(rows, format="csc")[:, self._pattern.soft]
+        slacks = sparse.csc_array(sparse.eye(rows))[:, self._pattern.soft]
         workspace = osqp.OSQP()
         workspace.setup(
             P=sparse.csc_matrix(sparse.block_diag(hessian, format="csc")),

@@ -295,7 +295,10 @@ class _PidCase:
             *(gains.dead_zone_deg, limits.lower, limits.upper, limits.rate * dt, dt),
         )
         angle, rest = self.plant.rest
-        return float(kernels.pid_square_error(self.plant.packed, rest, *self.arrays, self.first, numbers, angle))
+        wanted, due, feedforward, noise = self.arrays
+        return kernels.pid_square_error(
+            self.plant.packed, rest, wanted, due, feedforward, noise, self.first, numbers, angle
+        )
 
 
 def _as_identified(study: DeviceStudy) -> dict[str, float]:

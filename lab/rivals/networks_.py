@@ -178,8 +178,8 @@ class _Recursion(torch.autograd.Function):
             by_u += by_next[:, :, i] * b[:, :, i]
             by_p += by_next[:, :, i, None] * e[:, :, :, i]
         dtype = grad_outputs[0].dtype
-        by_inputs = (torch.from_numpy(np.swapaxes(part, 0, 1).copy()).to(dtype) for part in (by_u, by_p))
-        return *by_inputs, torch.from_numpy(now).to(dtype), None
+        first, second = (torch.from_numpy(np.swapaxes(part, 0, 1).copy()).to(dtype) for part in (by_u, by_p))
+        return first, second, torch.from_numpy(now).to(dtype), None
 
 
 def _by_sample(part: torch.Tensor) -> Vec:
