@@ -21,13 +21,16 @@ Whole = NDArray[np.intc]
 _local = threading.local()
 
 
-class Network(Protocol):
+class PackedNetwork(Protocol):
     """A recurrent network as the engine reads it: address of its numbers, functions that they are packed for."""
 
     @property
-    def address(self) -> int: ...
+    def address(self) -> int:
+        """Of its numbers."""
+
     @property
-    def functions(self) -> Any: ...
+    def functions(self) -> Any:
+        """Of the engine, at the level for which the numbers are packed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +196,7 @@ class ChainCode:
         last: float,
         bounds: Array,
         inverted: Array,
-        network: Network | None,
+        network: PackedNetwork | None,
     ) -> Array:
         """Commands (2, H) along the angles `wanted` (H,): within the box alone, and within the rate limit too.
 
@@ -253,7 +256,13 @@ class PreparedChain:
         return self.code.command_for(self._kept, _doubles(state), wanted, low, high, last)
 
     def follow(
-        self, state: Array, wanted: Array, last: float, bounds: Array, inverted: Array, network: Network | None = None
+        self,
+        state: Array,
+        wanted: Array,
+        last: float,
+        bounds: Array,
+        inverted: Array,
+        network: PackedNetwork | None = None,
     ) -> Array:
         """Commands (2, H) along the outputs `wanted` (H,), see `ChainCode.follow`."""
         return self.code.follow(self._kept, _doubles(state), _doubles(wanted), last, bounds, inverted, network)
