@@ -34,8 +34,9 @@ long chain_lay_out(chain_run *r, const int *chain, int abreast, int directions, 
 /* How many of so many rows run abreast: 1, or a multiple of four that leaves few lanes idle. */
 int chain_abreast(int rows);
 
-/* Rows of all stages: kept values of rows n0 ... n0 + count - 1, the last one again in idle lanes. */
-void chain_bind(const chain_run *r, const real *kept, int kept_rows, int n0, int count);
+/* Rows of all stages: kept values of rows n0 ... n0 + count - 1, the last one again in idle lanes; a short run fills no
+ * more lanes than its samples need. */
+void chain_bind(const chain_run *r, const real *kept, int kept_rows, int n0, int count, int samples);
 
 /* A block of samples of one stage; the states stand in the first column and end in column `samples`. */
 void chain_run_stage(const chain_stage *s, int g, int samples, int slopes);

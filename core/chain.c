@@ -63,18 +63,20 @@ void hystmpc_chain_prepare(const int *chain, const real *constants, const real *
     }
 }
 
-void chain_bind(const chain_run *r, const real *kept, int kept_rows, int n0, int count) {
-    const int g = r->abreast;
+static int whole_lanes(int lanes) { return (lanes + 3) / 4 * 4; }
+
+void chain_bind(const chain_run *r, const real *kept, int kept_rows, int n0, int count, int samples) {
+    const int g = r->abreast, lanes = samples < LANES / g ? whole_lanes(samples * g) : LANES;
     for (chain_stage *s = r->stage; s < r->stage + r->stages; s++) {
         const hystmpc_program *p = &s->p;
         real *room = s->room, **row = s->row;
         for (int k = 0; k < p->kept; k++, room += STRIDE) {
             const real *value = kept + (s->place[4] + k) * kept_rows;
             *row++ = room;
-            for (int l = 0; l < LANES; l++) {
-                const int n = l % g < count ? l % g : count - 1;
-                room[l] = value[kept_rows > 1 ? n0 + n : 0];
-            }
+            if (kept_rows > 1)
+                for (int l = 0; l < lanes; l++) room[l] = value[n0 + smaller(l % g, count - 1)];
+            else
+                for (int l = 0; l < lanes; l++) room[l] = value[0];
         }
         for (int next = 0; next < 2; next++)
             for (int i = 0; i < p->states; i++) *row++ = s->state + i * (STRIDE + g) + next * g;
@@ -82,8 +84,6 @@ void chain_bind(const chain_run *r, const real *kept, int kept_rows, int n0, int
         for (; row < s->row + p->rows; room += STRIDE) *row++ = room;
     }
 }
-
-static int whole_lanes(int lanes) { return (lanes + 3) / 4 * 4; }
 
 void chain_run_stage(const chain_stage *s, int g, int samples, int slopes) {
     const hystmpc_program *p = &s->p;
@@ -141,7 +141,7 @@ void hystmpc_chain_simulate(const int *chain, const real *kept, int kept_rows, i
     chain_lay_out(&r, chain, chain_abreast(rows), 0, memory);
     for (int n0 = 0; n0 < rows; n0 += r.abreast) {
         const int count = smaller(r.abreast, rows - n0);
-        if (n0 == 0 || kept_rows > 1) chain_bind(&r, kept, kept_rows, n0, count);
+        if (n0 == 0 || kept_rows > 1) chain_bind(&r, kept, kept_rows, n0, count, samples);
         simulate_rows(&r, n0, count, samples, u, u_stride, x, x_stride, moves, y, y_stride);
     }
 }

@@ -86,6 +86,9 @@ class ChainCode:
         self.functions: Any = engine()
         self._registers = max((stage.registers for stage in stages), default=0)
         self._single = int(self.functions.chain_single_bytes(self.code))
+        self._rest_room = [
+            int(self.functions.chain_rest_room(self.code, k)) for k, s in enumerate(stages) if s.rest.size
+        ]
         self._known_bytes: dict[tuple[int, ...], int] = {}
 
     def prepare(self, parameters: Array, dt_s: float) -> Array:
@@ -162,7 +165,7 @@ class ChainCode:
         m: Array
     ) -> None:  # fmt: skip
         """Fill x (S, N) and m (S, N, D), states of one stage at rest at input u and output `seen`, and derivatives."""
-        room = np.empty(self.functions.chain_rest_room(self.code, stage))
+        room = np.empty(self._rest_room[stage])
         self.functions.chain_rest(
             self.code, self.constants, stage, u.size, u, du, seen, by_seen, parameters, parameters.shape[1],
             seeds.shape[1], seeds, x, m, room

@@ -262,7 +262,7 @@ void hystmpc_chain_linearise(const int *chain, const real *kept, const real *x, 
     for (int i = 0; i < (r.states + chain[2]) * samples; i++) m[i] = R(0.0);
     const group_of_runs c = {.first = first, .count = 1, .runs = 1, .samples = samples, .u = plan, .du = du,
                              .seeds = seeds, .x = x, .m = m, .y = y, .dy = dy};
-    chain_bind(&r, kept, 1, 0, 1);
+    chain_bind(&r, kept, 1, 0, 1, samples);
     differentiate_runs(&r, &c);
 }
 
@@ -276,7 +276,10 @@ void hystmpc_chain_differentiate(const int *chain, const real *kept, int rows, c
                                  real *y, real *dy, char *memory) {
     chain_run r;
     chain_lay_out(&r, chain, chain_abreast(rows), directions, memory);
-    chain_bind(&r, kept, 1, 0, 1);
+    int longest = 0;
+    for (int n = 0; n < rows; n++)
+        if (first[n + 1] - first[n] > longest) longest = first[n + 1] - first[n];
+    chain_bind(&r, kept, 1, 0, 1, longest);
     for (int n0 = 0; n0 < rows; n0 += r.abreast) {
         const group_of_runs c = {.first = first + n0, .n0 = n0, .count = smaller(r.abreast, rows - n0), .runs = rows,
                                  .samples = first[rows], .u = u, .du = du, .seeds = seeds, .x = x, .m = m, .y = y, .dy = dy};
