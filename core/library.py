@@ -6,13 +6,14 @@ The prototypes of the headers say which arguments a function takes: `const doubl
 
 from __future__ import annotations
 
+import copyreg
 import ctypes
 import re
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from filelock import FileLock
@@ -43,21 +44,51 @@ def engine(level: str | None = None) -> Any:
 @cache
 def compiled(folder: Path, level: str | None = None) -> Any:
     """Functions of the C files in a folder; arguments and errors as those of `engine`."""
-    if level is None:
+    here = level
+    if here is None:
         best = int(_current(FOLDER, "plain").hystmpc_level())
-        level = next(name for name in levels() if name == "plain" or int(name[1:]) <= best)
-    return bound(_current(folder, level), folder)
+        here = next(name for name in levels() if name == "plain" or int(name[1:]) <= best)
+    return bound(_current(folder, here), folder, level)
 
 
-def bound(library: ctypes.CDLL, folder: Path) -> Any:
+def bound(library: ctypes.CDLL, folder: Path, level: str | None = None) -> Any:
     """Functions of a library whose prototypes stand in the headers of a folder, behind `HYSTMPC_API`."""
     functions = SimpleNamespace()
+    copyreg.pickle(library._FuncPtr, _by_name)
     for result, name, arguments in _prototypes(folder):
         function = library[name]
         function.argtypes = [_argument(words) for words in arguments]
         function.restype = None if result == "void" else ctypes.c_char_p if "*" in result else _NUMBERS[result]
-        setattr(functions, name.removeprefix("hystmpc_"), function)
+        function.home = folder, level, name.removeprefix("hystmpc_")
+        setattr(functions, function.home[2], function)
     return functions
+
+
+def _by_name(function: Any) -> tuple[Any, ...]:
+    """A function is copied by its name: where the copy is made, it has another address."""
+    return _function, function.home
+
+
+def _function(folder: Path, level: str | None, name: str) -> Any:
+    return getattr(compiled(folder, level), name)
+
+
+class HoldsAddresses:
+    """Base of objects that hold addresses of their own memory: a copy is built anew from the same arguments."""
+
+    _arguments: tuple[tuple[Any, ...], dict[str, Any]]
+
+    def __new__(cls, *arguments: Any, **by_name: Any) -> Self:
+        new = super().__new__(cls)
+        new._arguments = arguments, by_name
+        return new
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _built, (type(self), *self._arguments)
+
+
+def _built(kind: type[Any], arguments: tuple[Any, ...], by_name: dict[str, Any]) -> Any:
+    return kind(*arguments, **by_name)
 
 
 class _Array:

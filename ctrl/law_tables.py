@@ -9,7 +9,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from hystmpc.core.library import engine
+from hystmpc.core.library import HoldsAddresses, engine
 from hystmpc.models.inverse.inverses import Bounds
 from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Mat, Vec
@@ -77,7 +77,7 @@ class MoveBlocking:
 
 
 @final
-class LawTables:
+class LawTables(HoldsAddresses):
     """Struct `hystmpc_law` of a law over a horizon, and room for its programs; see core/planning.h.
 
     Args:

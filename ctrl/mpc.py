@@ -6,7 +6,7 @@ import ctypes
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, Generic, TypeVar, final
 
@@ -59,6 +59,9 @@ class PlanningProblem:
         known = ctypes.c_char.from_buffer(numbers)  # keeps the numbers
         self.__dict__["_numbers"] = known  # as long as the address is used
         return ctypes.addressof(known)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in fields(self)}  # a copy has numbers of its own
 
 
 @final

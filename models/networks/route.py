@@ -12,7 +12,7 @@ from typing import final
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from hystmpc.core.library import engine
+from hystmpc.core.library import HoldsAddresses, engine
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.types import Vec
 
@@ -24,7 +24,7 @@ _WHOLE = 12  # rows: whole blocks of rows at every level of the engine
 
 
 @final
-class NetworkRoute:
+class NetworkRoute(HoldsAddresses):
     """Predictions of one network; state (S,) as in its model file, everything finite.
 
     The gates of some networks would turn not-a-number into a plausible angle: callers check. A plan's angles do not

@@ -30,14 +30,14 @@ def request(kind: str, **changes: object) -> FitRequest:
 
 def identified_before(patch: pytest.MonkeyPatch, before: tuple[Operator, ...], motion: tuple[int, ...]) -> None:
     """`auto` answers with the device that it has identified from the same trials in `test_auto`."""
-    expected = trials_of(before, motion)
+    expected, answer = trials_of(before, motion), identified(before, motion)
 
     def fit(self: AutoKind, trials: Sequence[Trial], asked: FitRequest, progress: object = None) -> Identified:
         assert asked.training in self.trainings
         assert asked.validation == ()
         for trial, same in zip(trials, expected, strict=True):
             np.testing.assert_array_equal(trial.angle, same.angle)
-        return identified(before, motion)
+        return answer
 
     patch.setattr(AutoKind, "fit", fit)
 
