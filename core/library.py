@@ -56,7 +56,7 @@ def bound(library: ctypes.CDLL, folder: Path, level: str | None = None) -> Any:
     functions = SimpleNamespace()
     copyreg.pickle(library._FuncPtr, _by_name)
     for result, name, arguments in _prototypes(folder):
-        function = library[name]
+        function: Any = library[name]
         function.argtypes = [_argument(words) for words in arguments]
         function.restype = None if result == "void" else ctypes.c_char_p if "*" in result else _NUMBERS[result]
         function.home = folder, level, name.removeprefix("hystmpc_")
