@@ -27,10 +27,12 @@ class PackedNetwork(Protocol):
     @property
     def address(self) -> int:
         """Of its numbers."""
+        ...
 
     @property
     def functions(self) -> Any:
         """Of the engine, at the level for which the numbers are packed."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
