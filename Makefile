@@ -6,7 +6,7 @@ VENV ?= .venv
 DEMO_VENV ?= .venv-demo
 ARGS ?=
 
-ROOMS := trials core models trajectories ctrl codegen sim rig gap testing bench tasks cli
+ROOMS := core trials models trajectories ctrl codegen sim rig gap testing bench tasks cli
 VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
 # Wheels only: a missing one is said in a line instead of in a compiler's output.
 INSTALL := -m pip install --quiet --disable-pip-version-check --only-binary :all: --constraint constraints.txt

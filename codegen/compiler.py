@@ -1,24 +1,18 @@
-"""C compiler (of this machine, or of the package `ziglang`) and compilation of shared libraries."""
+"""Compilation of exported sources into shared libraries, by the compiler that the engine is built with."""
 
 from __future__ import annotations
 
-import importlib.util
-import os
-import shlex
-import shutil
-import subprocess
-import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from hystmpc.core import build
+from hystmpc.core.build import EXPECTED, zig
 from hystmpc.trials.errors import ExportError
 
-EXPECTED = "a command in the variable CC, the program cc, the package ziglang (pip install ziglang)"
-"""Where a compiler is looked for, in this order."""
+__all__ = ["EXPECTED", "compiler", "shared_library", "zig"]
 
 _FLAGS = ("-std=c99", "-ffp-contract=off", "-shared")  # a contracted product and sum would differ in the last digit
-_LONGEST_S = 600.0  # ziglang makes its C library first
 
 
 def compiler() -> tuple[str, ...] | None:
@@ -27,18 +21,10 @@ def compiler() -> tuple[str, ...] | None:
     Raises:
         ExportError: if CC names no program.
     """
-    named = tuple(shlex.split(os.environ.get("CC", "")))
-    if named and shutil.which(named[0]) is None:
-        raise ExportError(f"got CC={named[0]}, which is no program, expected a C compiler")
-    cc = shutil.which("cc")
-    return named or ((cc,) if cc else zig())
-
-
-def zig(*arguments: str) -> tuple[str, ...] | None:
-    """Return the command of the compiler in the package `ziglang`; None if the package is not installed."""
-    if importlib.util.find_spec("ziglang") is None:
-        return None
-    return (sys.executable, "-P", "-m", "ziglang", "cc", *arguments)  # nothing of a working folder is imported
+    try:
+        return build.compiler()
+    except RuntimeError as error:
+        raise ExportError(str(error)) from None
 
 
 def shared_library(command: Sequence[str], flags: Sequence[str], sources: Mapping[str, str], *mains: str) -> bytes:
@@ -55,12 +41,9 @@ def shared_library(command: Sequence[str], flags: Sequence[str], sources: Mappin
     with tempfile.TemporaryDirectory(prefix="hystmpc-c-") as folder:
         for file, text in sources.items():
             (Path(folder) / file).write_text(text, encoding="utf-8")
-        words = [*command, *_FLAGS, *flags, "-o", "library", *mains, "-lm"]
+        words = [*_FLAGS, *flags, "-o", "library", *mains, "-lm"]
         try:
-            done = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=_LONGEST_S, check=False)
-        except (OSError, subprocess.TimeoutExpired) as error:
-            raise ExportError(f"the C compiler {shlex.join(command)} cannot run: {error}") from None
-        if done.returncode != 0:
-            said = [line for line in done.stderr.splitlines() if "error" in line] or [done.stderr.strip()[:200]]
-            raise ExportError(f"the C compiler {shlex.join(command)} fails: {said[0].strip() or 'it says nothing'}")
+            build.run(command, words, Path(folder))
+        except RuntimeError as error:
+            raise ExportError(str(error)) from None
         return (Path(folder) / "library").read_bytes()

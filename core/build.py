@@ -1,4 +1,4 @@
-"""Compilation of the engine's C files, once, when the package is built. Needs the standard library alone.
+"""Compilation of the engine's C files, once, when the package is built. Needs no other file of the package.
 
 The whole engine is compiled once for each level of vector instructions (`LEVELS`): the same text gives the same numbers
 at every level, and `library.py` loads the best one that the processor has.
@@ -17,6 +17,7 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 EXPECTED = "a command in the variable CC, the program cc, the package ziglang (pip install ziglang)"
 """Where a compiler is looked for, in this order."""
@@ -111,13 +112,64 @@ def _library(folder: Path, destination: Path, command: Sequence[str], level: str
     stamp = f'-DHYSTMPC_DIGEST="{digest(folder)}"'
     with tempfile.TemporaryDirectory(dir=destination, prefix=".building-") as scratch:
         made = Path(scratch).resolve() / file_name(level)
-        words = [*command, *FLAGS, *LEVELS[level], stamp, "-o", str(made), *files, "-lm"]
-        try:
-            done = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=_LONGEST_S, check=False)
-        except (OSError, subprocess.TimeoutExpired) as error:
-            raise RuntimeError(f"the C compiler {shlex.join(command)} cannot run: {error}") from None
-        if done.returncode != 0:
-            said = [line for line in done.stderr.splitlines() if "error" in line] or [done.stderr.strip()[:200]]
-            raise RuntimeError(f"the C compiler {shlex.join(command)} fails: {said[0].strip() or 'it says nothing'}")
+        run(command, [*FLAGS, *LEVELS[level], stamp, "-o", str(made), *files, "-lm"], folder)
         os.replace(made, destination / made.name)
     return destination / file_name(level)
+
+
+def run(command: Sequence[str], arguments: Sequence[str], folder: Path) -> None:
+    """Run the compiler in a folder.
+
+    Raises:
+        RuntimeError: if it cannot run or fails, with its first error message.
+    """
+    try:
+        words = [*command, *arguments]
+        done = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=_LONGEST_S, check=False)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise RuntimeError(f"the C compiler {shlex.join(command)} cannot run: {error}") from None
+    if done.returncode != 0:
+        said = [line for line in done.stderr.splitlines() if "error" in line] or [done.stderr.strip()[:200]]
+        raise RuntimeError(f"the C compiler {shlex.join(command)} fails: {said[0].strip() or 'it says nothing'}")
+
+
+def set_up(package: str, folder: Path, no_modules: Sequence[str] = ("setup.py",), **more: Any) -> None:
+    """Call setuptools for a package with C files in one of its folders; the library knows nothing of Python.
+
+    Args:
+        package: name of the package.
+        folder: with the C files, beside the package's modules.
+        no_modules: files beside the modules that no wheel holds.
+        more: further commands of setuptools, by name.
+    """
+    from setuptools import Distribution, setup
+    from setuptools.command.bdist_wheel import bdist_wheel
+    from setuptools.command.build_py import build_py
+
+    class BuildWithLibrary(build_py):
+        """Also compiles the C files; beside them for an editable installation."""
+
+        def run(self) -> None:
+            super().run()
+            build(folder, folder if self.editable_mode else Path(self.build_lib) / package / folder.name)
+
+        def find_package_modules(self, name: str, place: str) -> list[tuple[str, str, str]]:
+            return [one for one in super().find_package_modules(name, place) if Path(one[2]).name not in no_modules]
+
+    class PlatformWheel(bdist_wheel):
+        """A wheel of this platform for every Python."""
+
+        def get_tag(self) -> tuple[str, str, str]:
+            return "py3", "none", super().get_tag()[2]
+
+    class WithLibrary(Distribution):
+        """Not of Python files alone."""
+
+        def has_ext_modules(self) -> bool:
+            return True
+
+    setup(
+        cmdclass={"build_py": BuildWithLibrary, "bdist_wheel": PlatformWheel, **more},
+        distclass=WithLibrary,
+        setup_requires=[] if compiler() else ["ziglang>=0.13"],  # pip fetches it for the build
+    )

@@ -4,36 +4,39 @@
 #include <stddef.h>
 #include <string.h>
 
-static void *take(char **at, size_t bytes) {
-    void *given = *at;
-    *at += (bytes + 63) / 64 * 64;
+/* The next bytes of the memory of a call; without memory they are counted alone. */
+static void *take(char *memory, size_t *used, size_t bytes) {
+    void *given = memory ? memory + *used : NULL;
+    *used += (bytes + 63) / 64 * 64;
     return given;
 }
 
 long chain_lay_out(chain_run *r, const int *chain, int abreast, int directions, char *memory) {
-    char *at = memory ? memory + (64 - (size_t)memory % 64) % 64 : NULL, *const begin = at;
+    char *const begin = memory ? memory + (64 - (size_t)memory % 64) % 64 : NULL;
+    size_t used = 0;
     const int *place = chain + CHAIN_HEAD + chain[6];
     const size_t d = (size_t)directions, g = (size_t)abreast;
     int most = 0;
     r->stages = chain[0], r->states = chain[1], r->signals = chain[4], r->inputs = chain[5], r->outputs = chain[6];
     r->shown = chain + CHAIN_HEAD, r->abreast = abreast, r->directions = directions;
-    r->stage = take(&at, (size_t)r->stages * sizeof(chain_stage));
+    r->stage = take(begin, &used, (size_t)r->stages * sizeof(chain_stage));
     for (int k = 0; k < r->stages; k++, place += STAGE) {
         chain_stage one, *s = memory ? r->stage + k : &one;
         program_read(chain + place[0], &s->p);
         s->place = place, s->wires = chain + place[8];
-        s->row = take(&at, (size_t)s->p.rows * sizeof(real *));
-        s->room = take(&at, (size_t)(s->p.rows - 2 * s->p.states - s->p.inputs - s->p.outputs) * STRIDE * sizeof(real));
-        s->state = take(&at, (size_t)s->p.states * (STRIDE + g) * sizeof(real));
+        s->row = take(begin, &used, (size_t)s->p.rows * sizeof(real *));
+        const int with_room = s->p.rows - 2 * s->p.states - s->p.inputs - s->p.outputs;
+        s->room = take(begin, &used, (size_t)with_room * STRIDE * sizeof(real));
+        s->state = take(begin, &used, (size_t)s->p.states * (STRIDE + g) * sizeof(real));
         if (s->p.states > most) most = s->p.states;
     }
-    r->signal = take(&at, (size_t)r->signals * STRIDE * sizeof(real));
-    r->by = take(&at, (size_t)r->signals * d * STRIDE * sizeof(real));
-    r->moving = take(&at, (size_t)r->states * d * g * sizeof(real));
-    r->history = take(&at, (size_t)most * (STRIDE + g) * sizeof(real));
-    r->begins = take(&at, (size_t)r->signals * d * sizeof(int));
-    r->moves = take(&at, (size_t)r->states * d * sizeof(int));
-    return (long)(at - begin) + 128;
+    r->signal = take(begin, &used, (size_t)r->signals * STRIDE * sizeof(real));
+    r->by = take(begin, &used, (size_t)r->signals * d * STRIDE * sizeof(real));
+    r->moving = take(begin, &used, (size_t)r->states * d * g * sizeof(real));
+    r->history = take(begin, &used, (size_t)most * (STRIDE + g) * sizeof(real));
+    r->begins = take(begin, &used, (size_t)r->signals * d * sizeof(int));
+    r->moves = take(begin, &used, (size_t)r->states * d * sizeof(int));
+    return (long)used + 128;
 }
 
 int chain_abreast(int rows) {

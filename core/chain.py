@@ -233,6 +233,9 @@ class PreparedChain:
         code: of the chain.
         parameters: (P,).
         dt_s: sample time [s].
+
+    Raises:
+        ValueError: by each method, if a state is of another size: the engine does not look where memory ends.
     """
 
     def __init__(self, code: ChainCode, parameters: Array, dt_s: float) -> None:
@@ -241,24 +244,26 @@ class PreparedChain:
 
     def step(self, state: Array, u: float) -> tuple[float, Array]:
         """Output of one sample, and the next state (S,)."""
-        return self.code.step(self._kept, state, u)
+        return self.code.step(self._kept, self._checked(state), u)
 
     def run(self, states: Array, commands: Array) -> tuple[Array, Array]:
         """Outputs (N, T) of N rows under commands (N, T) from states (N, S), and the last states."""
         following = np.array(states, dtype=np.float64, order="C")
+        if following.shape != (len(commands), self.code.states):
+            raise ValueError(f"states: got shape {following.shape}, expected ({len(commands)}, {self.code.states})")
         return self.code.simulate_rows(self._kept, following, _doubles(commands)), following
 
     def roll_out(self, state: Array, plans: Array) -> Array:
         """Outputs (N, H) of plans (N, H), all from one state (S,)."""
-        return self.code.roll_out(self._kept, _doubles(state), _doubles(plans))
+        return self.code.roll_out(self._kept, self._checked(state), _doubles(plans))
 
     def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
         """Outputs (H,) along one plan (H,) and their derivatives (H, H) by its commands."""
-        return self.code.linearise(self._kept, _doubles(state), _doubles(plan))
+        return self.code.linearise(self._kept, self._checked(state), _doubles(plan))
 
     def command_for(self, state: Array, wanted: float, low: float, high: float, last: float) -> float:
         """Command in [low, high] whose next output is `wanted`."""
-        return self.code.command_for(self._kept, _doubles(state), wanted, low, high, last)
+        return self.code.command_for(self._kept, self._checked(state), wanted, low, high, last)
 
     def follow(
         self,
@@ -270,11 +275,19 @@ class PreparedChain:
         network: PackedNetwork | None = None,
     ) -> Array:
         """Commands (2, H) along the outputs `wanted` (H,), see `ChainCode.follow`."""
-        return self.code.follow(self._kept, _doubles(state), _doubles(wanted), last, bounds, inverted, network)
+        of_network = 0 if network is None else int(network.functions.network_state(network.address)) + 2
+        state = self._checked(state, of_network)
+        return self.code.follow(self._kept, state, _doubles(wanted), last, bounds, inverted, network)
 
     def lead(self, state: Array, wanted: Array, last: float, reach: float, numbers: Array) -> tuple[Array, Array, int]:
         """Inputs (H,) that lead a drive along `wanted` (H,), see `ChainCode.lead`."""
-        return self.code.lead(self._kept, _doubles(state), _doubles(wanted), last, reach, numbers)
+        return self.code.lead(self._kept, self._checked(state), _doubles(wanted), last, reach, numbers)
+
+    def _checked(self, state: Array, of_network: int = 0) -> Array:
+        """State (S,), with so many numbers of a network beside it, as the engine reads it."""
+        if state.shape != (self.code.states + of_network,):
+            raise ValueError(f"state: got shape {state.shape}, expected ({self.code.states + of_network},)")
+        return _doubles(state)
 
 
 def _doubles(array: Array) -> Array:

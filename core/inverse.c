@@ -18,29 +18,29 @@ typedef struct {
     real *last; /* room behind the registers: two states of the chain */
 } single;
 
-static char *aligned(char *at) { return at + (8 - (size_t)at % 8) % 8; }
-
-/* Lay out the memory of a call and put in the kept values; answers the bytes that it takes. */
+/* Lay out the memory of a call and put in the kept values; answers the bytes that it takes. Null for memory: the bytes
+ * alone. */
 static long lay_out(single *c, const int *chain, const real *kept, char *memory) {
-    char *at = aligned(memory);
+    char *const begin = memory ? memory + (8 - (size_t)memory % 8) % 8 : NULL;
     const int *place = chain + CHAIN_HEAD + chain[6];
-    c->stages = chain[0], c->stage = (single_stage *)at;
-    at += (size_t)c->stages * sizeof(single_stage);
+    size_t used = (size_t)chain[0] * sizeof(single_stage);
+    c->stages = chain[0], c->stage = (single_stage *)(void *)begin;
     for (int k = 0; k < c->stages; k++, place += STAGE) {
-        single_stage one, *s = kept ? c->stage + k : &one;
+        single_stage one, *s = begin ? c->stage + k : &one;
         program_read(chain + place[0], &s->p);
-        s->place = place, s->registers = (real *)at, s->state = s->registers + s->p.kept;
-        at += (size_t)s->p.single * sizeof(real);
-        for (int i = 0; kept && i < s->p.kept; i++) s->registers[i] = kept[place[4] + i];
+        if (begin) {
+            s->place = place, s->registers = (real *)(void *)(begin + used), s->state = s->registers + s->p.kept;
+            for (int i = 0; i < s->p.kept; i++) s->registers[i] = kept[place[4] + i];
+        }
+        used += (size_t)s->p.single * sizeof(real);
     }
-    c->last = (real *)at;
-    return (long)(at - memory) + 2 * chain[1] * (long)sizeof(real);
+    c->last = begin ? (real *)(void *)(begin + used) : NULL;
+    return (long)(used + 2 * (size_t)chain[1] * sizeof(real)) + 16;
 }
 
 long hystmpc_chain_single_bytes(const int *chain) {
-    static char nowhere[8];
     single c;
-    return lay_out(&c, chain, NULL, nowhere) + 16;
+    return lay_out(&c, chain, NULL, NULL);
 }
 
 /* Put in the states; what they alone decide is computed. */

@@ -18,12 +18,16 @@ from typing import Any, Self
 import numpy as np
 from filelock import FileLock
 
-from hystmpc.trials.errors import HystmpcError
-
 from .build import build, digest, file_name, levels, sources
 
 FOLDER = Path(__file__).resolve().parent
 """Place of the C files and of the libraries."""
+
+_LONGEST = 240  # characters of a compiler's message
+
+
+class EngineError(OSError):
+    """Engine that is missing or of other C files, and cannot be compiled here; a fault of the installation."""
 
 
 @cache
@@ -36,7 +40,7 @@ def engine(level: str | None = None) -> Any:
         level: of vector instructions, for tests; the best one of this processor where left out.
 
     Raises:
-        HystmpcError: if the library is missing or older than the C files, and cannot be compiled.
+        EngineError: if the library is missing or older than the C files, and cannot be compiled.
     """
     return compiled(FOLDER, level)
 
@@ -156,7 +160,7 @@ def _current(folder: Path, level: str) -> ctypes.CDLL:
     if not _fresh(path):
         _rebuild(path)
     if not _fresh(path):
-        raise HystmpcError(f"{path}: got a library of other C files than those beside it; install the package again")
+        raise EngineError("got a compiled engine of other C files than those beside it; install the package again")
     return ctypes.CDLL(str(path))
 
 
@@ -177,4 +181,4 @@ def _rebuild(path: Path) -> None:
             if not _fresh(path):  # nobody else has compiled it meanwhile
                 build(folder, folder)
     except (OSError, RuntimeError) as error:
-        raise HystmpcError(f"the engine is not compiled, and cannot be: {error}") from None
+        raise EngineError(f"the engine is not compiled, and cannot be: {str(error)[:_LONGEST]}") from None

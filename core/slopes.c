@@ -268,7 +268,7 @@ void hystmpc_chain_linearise(const int *chain, const real *kept, const real *x, 
 
 long hystmpc_chain_linearise_bytes(const int *chain, int samples) {
     chain_run r;
-    return chain_lay_out(&r, chain, 1, samples, NULL) + 8 * (long)(samples * (samples + chain[1] + chain[2])) + 64;
+    return chain_lay_out(&r, chain, 1, samples, NULL) + (long)sizeof(real) * samples * (samples + chain[1] + chain[2]) + 64;
 }
 
 void hystmpc_chain_differentiate(const int *chain, const real *kept, int rows, const int *first, const real *u,

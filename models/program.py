@@ -1,4 +1,4 @@
-"""From one CasADi expression to Python source: scalar code, and array code for NumPy and torch."""
+"""Instructions of a CasADi expression: the closed list of operations that every backend has."""
 
 from __future__ import annotations
 
@@ -98,80 +98,3 @@ SCALAR: Mapping[str, str] = (
     }
     | {name: f"math.{name}({{0}})" for name in ("sqrt", "exp", "log", "tanh", "sin", "cos", "floor")}
 )
-
-
-def array_table(module: str, cast: str) -> Mapping[str, str]:
-    """Templates for a module with NumPy's names; `cast` turns a truth array {c} into numbers."""
-
-    def number(condition: str) -> str:
-        return cast.replace("{c}", condition)
-
-    table = _SHARED | {
-        "lt": number("{0} < {1}"),
-        "le": number("{0} <= {1}"),
-        "eq": number("{0} == {1}"),
-        "ne": number("{0} != {1}"),
-        "or": number("({0} + {1}) > 0"),
-        "if_else_zero": module + ".where({0} != 0, {1}, 0.0 * {0})",
-        "fmin": module + ".where({0} <= {1}, {0}, {1})",
-        "fmax": module + ".where({0} >= {1}, {0}, {1})",
-        "fabs": module + ".abs({0})",
-    }
-    return table | {n: f"{module}.{n}({{0}})" for n in ("sign", "sqrt", "exp", "log", "tanh", "sin", "cos", "floor")}
-
-
-NUMPY = array_table("np", "np.asarray({c}, dtype=float)")
-TORCH = array_table("torch", "({c}).to(torch.get_default_dtype())")
-
-
-@dataclass(frozen=True)
-class Program:
-    """Source of one function, with its numbers lifted out.
-
-    Attributes:
-        source: text of the function, whose last argument `k` receives `constants`.
-        constants: the numbers of the expression. Kept outside so that models that differ in numbers only share
-            one source.
-    """
-
-    source: str
-    constants: tuple[float, ...]
-
-
-def scalar_program(function: Any, name: str, table: Mapping[str, str] = SCALAR) -> Program:
-    """Return source `name(i0, i1, ..., o0, o1, ..., k)` reading and writing flat float arrays."""
-    lines, constants = _body(function, table, "o{0}[{1}] = {2}")
-    inputs = [f"i{j}" for j in range(function.n_in())]
-    outputs = [f"o{j}" for j in range(function.n_out())]
-    header = f"def {name}({', '.join([*inputs, *outputs, 'k'])}):"
-    return Program("\n".join([header, *lines]) + "\n", constants)
-
-
-def array_program(function: Any, name: str, table: Mapping[str, str]) -> Program:
-    """Return source `name(i0, i1, ..., k) -> list of lists`: element e of input j is the array i{j}[e].
-
-    Elements broadcast against one another, so a batch is a leading axis of every element.
-    """
-    lines, constants = _body(function, table, "out[{0}][{1}] = {2}")
-    allocation = f"    out = [[None] * n for n in {[function.numel_out(j) for j in range(function.n_out())]}]"
-    header = f"def {name}({', '.join([*(f'i{j}' for j in range(function.n_in())), 'k'])}):"
-    return Program("\n".join([header, allocation, *lines, "    return out"]) + "\n", constants)
-
-
-def _body(function: Any, table: Mapping[str, str], write: str) -> tuple[list[str], tuple[float, ...]]:
-    """Indented statements and the constants they read."""
-    constants: list[float] = []
-    lines = ["    " + _statement(step, table, write, constants) for step in instructions(function)]
-    return lines, tuple(constants)
-
-
-def _statement(step: Instruction, table: Mapping[str, str], write: str, constants: list[float]) -> str:
-    """One line of source; a new constant is appended to `constants`."""
-    if step.name == "input":
-        return f"w{step.out[0]} = i{step.args[0]}[{step.args[1]}]"
-    if step.name == "output":
-        return write.format(*step.out, f"w{step.args[0]}")
-    if step.name == "const":
-        constants.append(step.value)
-        return f"w{step.out[0]} = k[{len(constants) - 1}]"
-    return f"w{step.out[0]} = {table[step.name].format(*(f'w{a}' for a in step.args))}"

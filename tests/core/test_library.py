@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from hystmpc.core import build, library
-from hystmpc.core.library import compiled, engine
-from hystmpc.trials.errors import HystmpcError
+from hystmpc.core.library import EngineError, compiled, engine
 
 HEADER = "HYSTMPC_API double answer(const double *x, int count);\n"
 CODE = """#define HYSTMPC_API __attribute__((visibility("default")))
@@ -55,7 +54,7 @@ def test_a_stale_library_is_never_loaded(folder: Path, monkeypatch: pytest.Monke
     (folder / "answer.c").write_text(CODE.format(factor=5), encoding="utf-8")
     monkeypatch.setattr(build, "compiler", lambda: None)
     forget()
-    with pytest.raises(HystmpcError, match="got no C compiler, expected one of") as refused:
+    with pytest.raises(EngineError, match="got no C compiler, expected one of") as refused:
         compiled(folder)
     assert len(str(refused.value)) <= 300
     assert "\n" not in str(refused.value)
@@ -64,7 +63,7 @@ def test_a_stale_library_is_never_loaded(folder: Path, monkeypatch: pytest.Monke
 
 def test_an_error_of_the_compiler_is_one_line(folder: Path) -> None:
     (folder / "answer.c").write_text("int broken(\n", encoding="utf-8")
-    with pytest.raises(HystmpcError, match="error") as refused:
+    with pytest.raises(EngineError, match="error") as refused:
         compiled(folder)
     assert len(str(refused.value)) <= 300
     assert "\n" not in str(refused.value)

@@ -13,8 +13,8 @@ ROOT = Path(__file__).resolve().parents[2]
 # A room imports itself and the tiers before its own; rooms of one tier do not know each other. The front door, the
 # files at the root, counts as one.
 TIERS = (
-    ("trials",),
     ("core",),
+    ("trials",),
     ("models",),
     ("trajectories",),
     ("ctrl",),

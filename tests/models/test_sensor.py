@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -10,7 +12,8 @@ from hypothesis import strategies as st
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.operators.measurement import Sensor, draw, start_of_seed
-from hystmpc.models.program import NUMPY, array_program, dense
+from hystmpc.models.program import SCALAR, dense, instructions
+from hystmpc.models.stages import prepared
 from hystmpc.trials.errors import ModelError
 
 from .running import run_chain
@@ -26,26 +29,29 @@ def readings(sensor: Sensor, value: float = 0.0, samples: int = SAMPLES) -> np.n
     return run_chain(Chain(sensor), np.full(samples, value), seen=value)
 
 
-def generator() -> dict[str, object]:
-    """`draw` as NumPy source, as every backend has it."""
+def drawn(state: np.ndarray, kind: type) -> tuple[np.ndarray, float]:
+    """Next state and number of `draw`, every instruction rounded to a precision."""
     s = ca.SX.sym("s", 3)
     following, number = draw((s[0], s[1], s[2]))
-    program = array_program(dense("draw", [s], [ca.vertcat(*following), number]), "draw", NUMPY)
-    scope: dict[str, object] = {"np": np, "constants": program.constants}
-    exec(program.source, scope)
-    return scope
+    values, results = {}, np.zeros(4, dtype=kind)
+    for step in instructions(dense("draw", [s], [ca.vertcat(*following, number)])):
+        if step.name == "output":
+            results[step.out[1]] = values[step.args[0]]
+        elif step.name in ("input", "const"):
+            values[step.out[0]] = kind(step.value if step.name == "const" else state[step.args[1]])
+        else:
+            a, b = (values[step.args[k % len(step.args)]] for k in (0, 1))
+            values[step.out[0]] = kind(eval(SCALAR[step.name].format("a", "b"), {"a": a, "b": b, "math": math}))
+    return results[:3], float(results[3])
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
 @given(seed=st.integers(0, 2**63 - 1))
 def test_draws_are_those_of_the_published_generator_in_single_and_double_precision(kind: type, seed: int) -> None:
-    scope = generator()
     state = np.array(start_of_seed(seed), dtype=kind)
     whole = [int(s) for s in state]
-    constants = [kind(c) for c in scope["constants"]]  # type: ignore[attr-defined]
     for _ in range(40):
-        following, (number,) = scope["draw"](state, constants)  # type: ignore[operator]
-        state = np.array(following)
+        state, number = drawn(state, kind)
         whole = [a * s % m for a, s, m in zip((171, 172, 170), whole, (30269, 30307, 30323), strict=True)]
         assert state.dtype == kind
         assert [int(s) for s in state] == whole
@@ -114,18 +120,11 @@ def test_equal_seeds_give_equal_noise_and_others_do_not() -> None:
 
 def test_the_rows_of_a_batch_may_have_their_own_seeds() -> None:
     chain = Chain(Sensor(0.0, 1.0, 0.0, 0.0, 0.0))
-    program = array_program(chain.transition, "step", NUMPY)
-    scope: dict[str, object] = {"np": np}
-    exec(program.source, scope)
-    states = np.array([[*start_of_seed(seed), 0.0] for seed in (1, 2, 3)]).T
-    rows = []
-    for _ in range(50):
-        (shown,), following = scope["step"](states, [np.zeros(3)], chain.values, [DT], program.constants)  # type: ignore[operator]
-        states = np.array(following)
-        rows.append(shown)
+    states = np.array([[*start_of_seed(seed), 0.0] for seed in (1, 2, 3)])
+    shown, _ = prepared(chain.operators, DT).run(states, np.zeros((3, 50)))
     for k, seed in enumerate((1, 2, 3)):
         alone = readings(Sensor(0.0, 1.0, 0.0, 0.0, 0.0, seed), samples=50)
-        np.testing.assert_allclose(np.array(rows)[:, k], alone, atol=1e-12)
+        np.testing.assert_allclose(shown[k], alone, atol=1e-12)
 
 
 def test_derivatives_pass_straight_through_rounding() -> None:

@@ -266,8 +266,8 @@ def test_no_compiler_is_said_in_one_line_that_lists_what_would_do(monkeypatch: p
     monkeypatch.setenv("CC", "no-such-compiler")
     assert "CC=no-such-compiler" in refused(horizon=8)  # nobody has compiled this one
     monkeypatch.delenv("CC")
-    monkeypatch.setattr("hystmpc.codegen.compiler.shutil.which", lambda name: None)
-    monkeypatch.setattr("hystmpc.codegen.compiler.importlib.util.find_spec", lambda name: None)
+    monkeypatch.setattr("hystmpc.core.build.shutil.which", lambda name: None)
+    monkeypatch.setattr("hystmpc.core.build.importlib.util.find_spec", lambda name: None)
     said = refused(horizon=8)
     assert all(word in said for word in ("variable CC", "program cc", "ziglang", "backend: python"))
 

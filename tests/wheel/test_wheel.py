@@ -15,8 +15,8 @@ import pytest
 CHECKOUT = os.environ.get("HYSTMPC_CHECKOUT", "")
 WHEEL = os.environ.get("HYSTMPC_WHEEL", "")
 ROOMS = (
-    "trials",
     "core",
+    "trials",
     "models",
     "trajectories",
     "ctrl",
