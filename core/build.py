@@ -133,11 +133,11 @@ def run(command: Sequence[str], arguments: Sequence[str], folder: Path) -> None:
         raise RuntimeError(f"the C compiler {shlex.join(command)} fails: {said[0].strip() or 'it says nothing'}")
 
 
-def set_up(package: str, folder: Path, no_modules: Sequence[str] = ("setup.py",), **more: Any) -> None:
+def set_up(name: str, folder: Path, no_modules: Sequence[str] = ("setup.py",), **more: Any) -> None:
     """Call setuptools for a package with C files in one of its folders; the library knows nothing of Python.
 
     Args:
-        package: name of the package.
+        name: of the package.
         folder: with the C files, beside the package's modules.
         no_modules: files beside the modules that no wheel holds.
         more: further commands of setuptools, by name.
@@ -151,10 +151,11 @@ def set_up(package: str, folder: Path, no_modules: Sequence[str] = ("setup.py",)
 
         def run(self) -> None:
             super().run()
-            build(folder, folder if self.editable_mode else Path(self.build_lib) / package / folder.name)
+            build(folder, folder if self.editable_mode else Path(self.build_lib) / name / folder.name)
 
-        def find_package_modules(self, name: str, place: str) -> list[tuple[str, str, str]]:
-            return [one for one in super().find_package_modules(name, place) if Path(one[2]).name not in no_modules]
+        def find_package_modules(self, package: str, package_dir: str) -> list[tuple[str, str, str]]:
+            modules = super().find_package_modules(package, package_dir)
+            return [module for module in modules if Path(module[2]).name not in no_modules]
 
     class PlatformWheel(bdist_wheel):
         """A wheel of this platform for every Python."""
