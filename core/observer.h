@@ -1,0 +1,145 @@
+/* What is known of the device: the model's state from the commands really sent, the disturbance of its output from the
+ * measurements.
+ *
+ *     theta_k = model(commands up to k-1-D) + d_k,   d_{k+1} = d_k + w_k,   y_k = theta_k + v_k
+ *
+ * The model holds every command sent; the D angles of commands on their way stand in a queue, so that a measurement meets
+ * the prediction made for its own instant. Outliers, and samples in which the command moved but the model did not, are
+ * not integrated. */
+#ifndef HYSTMPC_OBSERVER_H
+#define HYSTMPC_OBSERVER_H
+
+#include "estimator.h"
+#include "model.h"
+
+#define HYSTMPC_ANGLE_BOUND R(1e4)       /* [deg], far beyond any joint; keeps squares and sums of angles finite */
+#define HYSTMPC_MOST_SAMPLES 1000000000  /* at which a count stays */
+
+enum {
+    HYSTMPC_CONTINUOUS = 0,   /* a measurement in every sample */
+    HYSTMPC_FRAMES = 1,       /* now and then, and late: each is used at the instant at which it was taken */
+    HYSTMPC_NO_SENSOR = 2,    /* the model alone */
+    HYSTMPC_NEWEST = 3,       /* no model: the newest measurement of a continuous sensor */
+    HYSTMPC_NEWEST_FRAME = 4, /* no model: the frame that was taken last */
+    HYSTMPC_OBSERVED = 5      /* by an observer written in Python */
+};
+
+enum { HYSTMPC_SEEN = 16 }; /* measurements of one instant that are remembered for late frames */
+
+/* Numbers of an estimate; of a controller's memory, `whole` angles are those with the learned part. */
+typedef struct {
+    real command;     /* sent last */
+    real disturbance; /* [deg] */
+    real variance;    /* of its error [deg^2] */
+    real measured;    /* last accepted measurement [deg] */
+    real since;       /* share of a sample by which that is younger than `missing` samples */
+    real sigma;       /* HYSTMPC_OBSERVED: standard deviation of what noise does to the disturbance in a hold [deg] */
+    real forecast_error;
+    real added;       /* learned part of the first angle [deg] */
+    real earned[2];   /* of frames: sums of m z and m^2 [deg^2], m the mean of the bank before the offset z came */
+    real seen[HYSTMPC_SEEN]; /* measurements of this instant, used or not usable [deg] */
+    int count;        /* of them */
+    int missing;      /* samples since the last accepted measurement */
+    int stalled;      /* samples since the model was last advanced */
+    int spare;
+} hystmpc_known;
+
+/* Functions of an observer that is written in Python: they write into `known`, x (S) and the angles (D + 1), and answer 0,
+ * or another number where it failed. */
+typedef struct {
+    int (*correct)(hystmpc_known *known, real *x, real *angles, real y);
+    int (*correct_late)(hystmpc_known *known, real *x, real *angles, real y, real age);
+    int (*advance)(hystmpc_known *known, real *x, real *angles, real u);
+} hystmpc_observer_outside;
+
+typedef struct {
+    int sensor;
+    int delay;             /* D: samples of delay that the model does not have */
+    int oldest;            /* age of the oldest frame that is used [samples] */
+    real outlier;          /* [deg] */
+    real dead_band_gain;   /* slope below which the model is inside the dead band [deg per command unit] */
+    real resolution;       /* travel below this counts as none [command unit] */
+    real rest_tolerance;   /* [deg] */
+    real forgets;          /* of frames: factor on the sums `earned` in a sample; 1 for others */
+    real doubt;            /* of frames: prior doubt, as many frames of pure noise */
+    const real *logs;      /* of frames: logarithms of the filters' sensor variances (M) */
+    const hystmpc_noise *noise; /* null without a model or a sensor */
+    const hystmpc_observer_outside *outside;
+} hystmpc_sensing;
+
+/* An estimate in a memory: one block of bytes without pointers. */
+typedef struct {
+    hystmpc_known *known;
+    real *model;      /* x (S) of the predictor after every command sent */
+    real *angles;     /* (D + 1) predicted, without disturbance: now, then of commands on their way [deg] */
+    real *responsive; /* (D + 1) whether each angle answers to the command, 1 or 0 */
+    real *moves;      /* (D + 1) command travel of the sample that led to each angle */
+    real *bank;       /* (3, M) disturbance, variance, weight of every filter */
+} hystmpc_estimate;
+
+/* What is learned, in a memory. */
+typedef struct {
+    hystmpc_filters *filters;
+    real *past;  /* learning.h */
+    real *added; /* (D + 1) to each angle of the model [deg] */
+} hystmpc_learning;
+
+/* The memory of an observer. */
+typedef struct {
+    hystmpc_estimate now;   /* with the learned part; its `model` is not used where `alone` is */
+    hystmpc_estimate alone; /* of the model alone; only where something is learned */
+    hystmpc_learning learning;
+    char *past;             /* of frames: (oldest) estimates of the last instants, the newest last */
+    int *instants;          /* how many of them are known */
+} hystmpc_observed;
+
+/* Numbers of `past` in learning.h. */
+HYSTMPC_LOCAL int hystmpc_numbers_past(const hystmpc_learner *n);
+
+/* Bytes of the memory, a multiple of 8; its parts. */
+HYSTMPC_LOCAL long hystmpc_observed_bytes(const hystmpc_sensing *s, const hystmpc_model *m);
+HYSTMPC_LOCAL void hystmpc_observed_at(const hystmpc_sensing *s, const hystmpc_model *m, char *memory,
+                                       hystmpc_observed *o);
+
+/* Room for one call. */
+HYSTMPC_LOCAL long hystmpc_observer_bytes(const hystmpc_sensing *s, const hystmpc_model *m);
+
+enum {
+    HYSTMPC_STARTED = 0,
+    HYSTMPC_BAD_ANGLE = 1,   /* not finite, or absurdly large */
+    HYSTMPC_BAD_COMMAND = 2, /* beyond the limits */
+    HYSTMPC_NOT_AT_REST = 3  /* the model is further from the angle than the tolerance, or not finite */
+};
+
+/* At rest at the angle y under the held command u, the predictor in the state x (S) at rest. Nothing is written where the
+ * start is refused. Without a sensor the model's angle counts as measured. */
+HYSTMPC_LOCAL int hystmpc_observer_init(const hystmpc_sensing *s, const hystmpc_model *m, hystmpc_observed *o,
+                                        const real *x, real y, real u, char *room);
+
+/* The measured angle, or not-a-number where it is missing or absurdly large. */
+HYSTMPC_LOCAL real hystmpc_usable_angle(real y);
+
+/* One sample more; a count stays before it runs over. */
+HYSTMPC_LOCAL int hystmpc_later(int samples);
+
+/* Measurement update with y; not-a-number and outliers change nothing but the count of what is missing. */
+HYSTMPC_LOCAL void hystmpc_observer_correct(const hystmpc_sensing *s, const hystmpc_model *m, hystmpc_observed *o,
+                                            real y);
+
+/* The same with a measurement of `age` samples ago; 0 where it cannot be used. */
+HYSTMPC_LOCAL int hystmpc_observer_correct_late(const hystmpc_sensing *s, const hystmpc_model *m, hystmpc_observed *o,
+                                                real y, real age, char *room);
+
+/* One sample later, u having been sent; where the model fails its state stands still. */
+HYSTMPC_LOCAL void hystmpc_observer_advance(const hystmpc_sensing *s, const hystmpc_model *m, hystmpc_observed *o,
+                                            real u, char *room);
+
+/* The state (S, and the learned part) that predictions start from. */
+HYSTMPC_LOCAL void hystmpc_observer_state(const hystmpc_sensing *s, const hystmpc_model *m, const hystmpc_observed *o,
+                                          real *x);
+
+/* Age of the last accepted measurement [samples]; standard deviation of what noise does to the disturbance [deg]. */
+HYSTMPC_LOCAL real hystmpc_observer_age(const hystmpc_observed *o);
+HYSTMPC_LOCAL real hystmpc_observer_sigma(const hystmpc_sensing *s, const hystmpc_observed *o);
+
+#endif

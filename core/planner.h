@@ -1,0 +1,68 @@
+/* Planners: a start plan improved by linearisation and a quadratic program, or by random plans. A plan found never costs
+ * more than the start plan. */
+#ifndef HYSTMPC_PLANNER_H
+#define HYSTMPC_PLANNER_H
+
+#include "law.h"
+#include "model.h"
+
+#include <stdint.h>
+
+enum {
+    HYSTMPC_LINEARISED = 0,    /* sequential quadratic programming, the program solved by qp.c */
+    HYSTMPC_SOLVED = 1,        /* the same, the program solved by Python */
+    HYSTMPC_PATH_INTEGRAL = 2, /* Williams et al., T-RO 2018, eq. (30) */
+    HYSTMPC_CROSS_ENTROPY = 3  /* Pinneri et al., CoRL 2020, algorithm 1 */
+};
+
+/* Distribution of random plans u = p + sigma M F w, w standard normal; see ctrl/sampling.py. */
+typedef struct {
+    int samples;         /* N */
+    int size;            /* m: normals of a plan */
+    int elites;          /* of the cross-entropy method */
+    int kept;            /* elites that take part in the next iteration again */
+    uint64_t seed[2];    /* key of the random numbers, see normals.h */
+    real temperature;    /* of the path integral */
+    real sigma;          /* of the cross-entropy method: first deviation */
+    real least_sigma;    /* and its least */
+    const real *sigmas;  /* of the path integral: deviation of each plan (N) */
+    const real *shape;   /* M F, transposed (m, H) */
+    const real *whitening; /* F^-1, transposed (m, m) */
+    const hystmpc_law *fitted; /* law of the fitted step, with its blocks */
+} hystmpc_sampling;
+
+typedef struct {
+    int kind;
+    int iterations;
+    int changes;                      /* of the active set in one program */
+    const hystmpc_law *law;           /* limits, weights and blocks */
+    const hystmpc_sampling *sampling; /* null unless plans are random */
+    /* HYSTMPC_SOLVED: the plan (H) after the solution of the program around a plan, and its foreseen cost behind it; 0,
+     * 1 where the iterations ran out, or as `hystmpc_step_plan`. */
+    int (*solve)(const real *reference, const real *feedforward, const real *scalars, const real *jacobian,
+                 const real *commands, const real *angles, real *out);
+} hystmpc_planner;
+
+/* A plan (H), its angles (H) by the model and its cost. */
+typedef struct {
+    real *commands, *angles;
+    real cost;
+} hystmpc_plan;
+
+/* Why there is no plan, besides what qp.h and law.h say. */
+enum { HYSTMPC_NO_SAMPLE = -7, HYSTMPC_NO_PREDICTION = -8 };
+
+/* Room for one improvement, that of the model's functions included. */
+HYSTMPC_LOCAL long hystmpc_planner_bytes(const hystmpc_planner *p, const hystmpc_model *m);
+
+/* Improve `best` in place from the state x; `draws` counts the steps of a random planner. 0, 1 where iterations ran out and
+ * the best step was used, or a negative number that says why there is none. */
+HYSTMPC_LOCAL int hystmpc_improve(const hystmpc_planner *p, const hystmpc_model *m, const real *x,
+                                  const hystmpc_task *task, hystmpc_plan *best, int64_t *draws, char *room);
+
+/* The same for random planners, in random_plans.c. */
+HYSTMPC_LOCAL long hystmpc_random_bytes(const hystmpc_planner *p, const hystmpc_model *m);
+HYSTMPC_LOCAL int hystmpc_improve_at_random(const hystmpc_planner *p, const hystmpc_model *m, const real *x,
+                                            const hystmpc_task *task, hystmpc_plan *best, int64_t *draws, char *room);
+
+#endif
