@@ -50,7 +50,7 @@ typedef struct {
 } hystmpc_plan;
 
 /* Why there is no plan, besides what qp.h and law.h say. */
-enum { HYSTMPC_NO_SAMPLE = -7, HYSTMPC_NO_PREDICTION = -8 };
+enum { HYSTMPC_NO_SAMPLE = -7, HYSTMPC_NO_PREDICTION = -8, HYSTMPC_NO_ANSWER = -9 /* from outside */ };
 
 /* Room for one improvement, that of the model's functions included. */
 HYSTMPC_LOCAL long hystmpc_planner_bytes(const hystmpc_planner *p, const hystmpc_model *m);

@@ -1,0 +1,197 @@
+/* The predictive law: candidate plans, the hold at a constant reference, the best plan improved; and the inverse over a
+ * preview, which is the same problem without disturbance and hold. */
+#include "controller.h"
+#include "room.h"
+
+/* What both work on. */
+typedef struct {
+    const hystmpc_problem *problem;
+    const hystmpc_planner *planner;
+    const real *x; /* state from which predictions start */
+    int horizon;
+    real *plans, *angles; /* candidates (C, H) */
+    real *targets;        /* (2, H) */
+    char *room;           /* of the model's and the planner's functions */
+} planning;
+
+static long planning_room(const hystmpc_problem *p) {
+    const hystmpc_planner *planner = p->law->planner;
+    const long h = planner->law->horizon, count = p->law->candidates;
+    const long candidates = 2 * room_for(count * h) + room_for(2 * h);
+    return candidates + longer(hystmpc_model_bytes(p->model, (int)count, (int)h), hystmpc_planner_bytes(planner, p->model));
+}
+
+static void begin_planning(planning *q, const hystmpc_problem *p, const real *x, char *room) {
+    const long h = p->law->planner->law->horizon;
+    q->problem = p;
+    q->planner = p->law->planner;
+    q->x = x;
+    q->horizon = (int)h;
+    q->plans = room_take(&room, p->law->candidates * h);
+    q->angles = room_take(&room, p->law->candidates * h);
+    q->targets = room_take(&room, 2 * h);
+    q->room = room;
+}
+
+/* Admissible plans to begin with; how many there are, or -1 where the inverse from outside has failed. */
+static int build_candidates(const planning *q, const real *wanted, real u_last, const real *remaining, int left,
+                            int resting) {
+    const hystmpc_law *l = q->planner->law;
+    const real bounds[3] = {l->lower, l->upper, l->reach};
+    if (hystmpc_model_follow(q->problem->model, q->x, wanted, q->horizon, u_last, bounds, q->targets, q->room)) return -1;
+    copy(q->targets + q->horizon, q->plans + HYSTMPC_INVERTED * q->horizon, q->horizon);
+    return hystmpc_candidates(l, q->targets, remaining, left, u_last, resting, q->plans);
+}
+
+/* Angles of the candidates from `first` to `last`; the cheapest of them, if it is cheaper than the best so far. 0, or
+ * another number where the model from outside has failed. */
+static int predict_candidates(const planning *q, int first, int last) {
+    const long at = (long)first * q->horizon;
+    return first == last ? 0
+                         : hystmpc_model_run(q->problem->model, q->x, last - first, q->horizon, q->plans + at,
+                                             q->angles + at, q->room);
+}
+
+static void take_cheapest(const planning *q, const hystmpc_task *task, int first, int last, hystmpc_plan *best) {
+    for (int n = first; n < last; n++) {
+        const real *commands = q->plans + (long)n * q->horizon, *angles = q->angles + (long)n * q->horizon;
+        const real cost = hystmpc_plan_cost(q->planner->law, task, commands, angles);
+        if (n > 0 && !(cost < best->cost)) continue;
+        copy(commands, best->commands, q->horizon);
+        copy(angles, best->angles, q->horizon);
+        best->cost = cost;
+    }
+}
+
+/* The greatest distance of angles from the target; not-a-number where one is. */
+static real farthest(const real *angles, int count, real shift, real target) {
+    real most_off = R(0.0);
+    for (int k = 0; k < count; k++) {
+        const real off = absolute(angles[k] + shift - target);
+        if (!(off <= most_off)) most_off = off;
+        if (off != off) break;
+    }
+    return most_off;
+}
+
+/* Whether to hold now: the reference has come to rest, and the held command keeps the angle close. */
+static void judge_hold(const hystmpc_hold *rule, hystmpc_head *head, const hystmpc_given *g, const real *held,
+                       int horizon) {
+    const int held_before = head->holding, lead = rule->lead < horizon ? rule->lead : horizon;
+    const real now = g->reference[0];
+    head->holding = 0;
+    if (!(absolute(now - head->hold_target) <= rule->tolerance) ||
+        (rule->lead > 1 && farthest(g->reference, lead, R(0.0), head->hold_target) > rule->tolerance)) {
+        head->constant = 0;
+        head->hold_target = now;
+        return;
+    }
+    head->constant = hystmpc_later(head->constant);
+    const real waited = least((real)(head->constant / rule->patience), rule->sigmas);
+    const real more = held_before ? rule->sigmas * g->sigma + rule->step : waited * g->sigma;
+    head->holding = farthest(held, horizon, g->disturbance, head->hold_target) <= rule->tolerance + more;
+}
+
+/* In a hold a correction as small as the error asks for, so that it meets the measurement before it is too far; whether
+ * the plan has changed. */
+static int limit_correction(const hystmpc_problem *p, const hystmpc_head *head, real *commands, real u_last,
+                            real error) {
+    const hystmpc_hold *rule = p->law->hold;
+    const hystmpc_law *l = p->law->planner->law;
+    if (!(rule->settle > 0 && head->constant > rule->settle_after && p->law->slope > R(0.0))) return 0;
+    for (int k = 0; k < l->horizon; k++) {
+        const real reach = error / (p->law->slope * (real)rule->settle) * (real)(k + 1);
+        commands[k] = clamp(commands[k], u_last - reach, u_last + reach);
+    }
+    hystmpc_clip_plan(l->horizon, l->lower, l->upper, l->reach, u_last, commands);
+    return 1;
+}
+
+/* The status of a law whose planner answers so. */
+static int status_of_planner(int answer) {
+    if (answer >= 0) return HYSTMPC_OK;
+    if (answer >= HYSTMPC_QP_UNFINISHED) return HYSTMPC_NO_SOLUTION;
+    return answer >= HYSTMPC_NO_PREDICTION ? HYSTMPC_NO_PLAN : HYSTMPC_FAILED;
+}
+
+static void refuse_plan(hystmpc_proposal *out, int status, int fault) {
+    out->status = status;
+    out->fault = fault;
+}
+
+HYSTMPC_LOCAL long hystmpc_predictive_room(const hystmpc_problem *p) {
+    return ROOM_LINE + planning_room(p) + room_for(p->law->planner->law->horizon);
+}
+
+/* The plan improved, and in a hold limited. */
+static void improve_plan(const planning *q, hystmpc_head *head, const hystmpc_given *g, const hystmpc_task *task,
+                         hystmpc_plan *best, hystmpc_proposal *out) {
+    const real error = farthest(q->angles + HYSTMPC_HELD * q->horizon, q->horizon, g->disturbance, head->hold_target);
+    const int answer = hystmpc_improve(q->planner, q->problem->model, q->x, task, best, &head->draws, q->room);
+    refuse_plan(out, status_of_planner(answer), answer);
+    if (out->status == HYSTMPC_OK && limit_correction(q->problem, head, best->commands, g->u_last, error) &&
+        hystmpc_model_run(q->problem->model, q->x, 1, q->horizon, best->commands, best->angles, q->room))
+        refuse_plan(out, HYSTMPC_FAILED, 0);
+}
+
+/* The wanted command and the plan behind it; the caller restores the head where there is none. */
+HYSTMPC_LOCAL void hystmpc_propose_plan(const hystmpc_problem *p, hystmpc_head *head, const hystmpc_given *g,
+                                        hystmpc_proposal *out, char *room) {
+    const int h = p->law->planner->law->horizon, resting = head->constant > 0;
+    room = room_begin(room);
+    real *wanted = room_take(&room, h);
+    hystmpc_plan best = {out->commands, out->angles, R(0.0)};
+    planning q;
+    begin_planning(&q, p, g->state, room);
+    for (int k = 0; k < h; k++) wanted[k] = g->reference[k] - g->disturbance;
+    const int count = build_candidates(&q, wanted, g->u_last, g->remaining, g->planned, resting);
+    if (count < 0) {
+        refuse_plan(out, HYSTMPC_FAILED, 0);
+        return;
+    }
+    /* At rest most steps hold, and look no further. */
+    const int first = resting && count > HYSTMPC_FOLLOWING ? HYSTMPC_FOLLOWING : count;
+    const hystmpc_task task = {wanted, q.plans + HYSTMPC_INVERTED * h, g->u_last, p->law->angle_low - g->disturbance,
+                               p->law->angle_high - g->disturbance};
+    if (predict_candidates(&q, 0, first)) {
+        refuse_plan(out, HYSTMPC_FAILED, 0);
+        return;
+    }
+    judge_hold(p->law->hold, head, g, q.angles + HYSTMPC_HELD * h, h);
+    take_cheapest(&q, &task, 0, head->holding ? HYSTMPC_HELD + 1 : first, &best);
+    if (!head->holding) {
+        if (predict_candidates(&q, first, count)) {
+            refuse_plan(out, HYSTMPC_FAILED, 0);
+            return;
+        }
+        take_cheapest(&q, &task, first, count, &best);
+    }
+    refuse_plan(out, HYSTMPC_OK, 0);
+    if (!is_finite(best.cost)) refuse_plan(out, HYSTMPC_NO_PLAN, HYSTMPC_NO_PREDICTION);
+    else if (!head->holding) improve_plan(&q, head, g, &task, &best, out);
+    if (out->status != HYSTMPC_OK) return;
+    out->u = best.commands[0];
+    out->source = HYSTMPC_MPC;
+    out->planned = h;
+}
+
+HYSTMPC_LOCAL int hystmpc_plan_ahead(const hystmpc_problem *p, const real *x, const real *wanted, real u_last,
+                                     const real *remaining, int left, real tolerance, hystmpc_plan *best, char *room) {
+    const int h = p->law->planner->law->horizon;
+    planning q;
+    begin_planning(&q, p, x, room_begin(room));
+    const int count = build_candidates(&q, wanted, u_last, remaining, left, 0);
+    if (count < 0 || predict_candidates(&q, 0, count)) return HYSTMPC_NO_ANSWER;
+    const hystmpc_task task = {wanted, q.plans + HYSTMPC_INVERTED * h, u_last, -INFINITE, INFINITE};
+    take_cheapest(&q, &task, 0, count, best);
+    if (!is_finite(best->cost)) return HYSTMPC_NO_PREDICTION;
+    int within = 1;
+    for (int k = 0; k < h; k++) within &= absolute(q.angles[HYSTMPC_HELD * h + k] - wanted[k]) <= tolerance;
+    if (within) {
+        copy(q.plans + HYSTMPC_HELD * h, best->commands, h);
+        copy(q.angles + HYSTMPC_HELD * h, best->angles, h);
+        return 0;
+    }
+    int64_t draws = 0;
+    return hystmpc_improve(q.planner, p->model, x, &task, best, &draws, q.room);
+}
