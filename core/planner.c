@@ -31,7 +31,7 @@ static long planner_program(const hystmpc_law *l) {
 }
 
 static long planner_indices(const hystmpc_law *l) {
-    return (2L * l->moves + hystmpc_program_slacks(l)) * (long)sizeof(int);
+    return 2L * l->moves + hystmpc_program_slacks(l);
 }
 
 static int planner_is_random(const hystmpc_planner *p) {
@@ -43,21 +43,22 @@ long hystmpc_planner_bytes(const void *planner, const void *model) {
     const hystmpc_law *const l = p->law;
     const long h = l->horizon;
     if (planner_is_random(p)) return hystmpc_random_bytes(p, model);
-    return hystmpc_room_for_reals(h * h) + 2 * hystmpc_room_for_reals(HYSTMPC_SHARES * h) +
-           hystmpc_room_for_reals(h + 1) + hystmpc_room_for_reals(h) + hystmpc_room_for_reals(planner_program(l)) +
-           hystmpc_room_for(planner_indices(l)) + hystmpc_model_bytes(model, HYSTMPC_SHARES, (int)h);
+    return ROOM_LINE + room_for(h * h) + 2 * room_for(HYSTMPC_SHARES * h) +
+           room_for(h + 1) + room_for(h) + room_for(planner_program(l)) +
+           room_for(planner_indices(l)) + hystmpc_model_bytes(model, HYSTMPC_SHARES, (int)h);
 }
 
 static void planner_lay_out(planner_work *w, char *room) {
     const hystmpc_law *const l = w->planner->law;
     const long h = l->horizon;
-    w->jacobian = hystmpc_reals(&room, h * h);
-    w->angles = hystmpc_reals(&room, HYSTMPC_SHARES * h);
-    w->parts = hystmpc_reals(&room, HYSTMPC_SHARES * h);
-    w->whole = hystmpc_reals(&room, h + 1);
-    w->start = hystmpc_reals(&room, h);
-    w->program = hystmpc_reals(&room, planner_program(l));
-    w->indices = (int *)hystmpc_part(&room, planner_indices(l));
+    room = room_begin(room);
+    w->jacobian = room_take(&room, h * h);
+    w->angles = room_take(&room, HYSTMPC_SHARES * h);
+    w->parts = room_take(&room, HYSTMPC_SHARES * h);
+    w->whole = room_take(&room, h + 1);
+    w->start = room_take(&room, h);
+    w->program = room_take(&room, planner_program(l));
+    w->indices = (int *)(void *)room_take(&room, planner_indices(l));
     w->room = room;
 }
 

@@ -48,18 +48,18 @@ static long random_fit(const hystmpc_law *l) {
 }
 
 static long random_indices(const hystmpc_law *l) {
-    return (2L * l->moves + hystmpc_program_slacks(l)) * (long)sizeof(int);
+    return 2L * l->moves + hystmpc_program_slacks(l);
 }
 
 HYSTMPC_LOCAL long hystmpc_random_bytes(const hystmpc_planner *p, const hystmpc_model *m) {
     const hystmpc_sampling *const s = p->sampling;
     const hystmpc_law *const l = s->fitted;
     const long h = p->law->horizon, rows = random_rows(p), elites = s->elites > 0 ? s->elites : 0;
-    return hystmpc_room_for_reals((long)s->samples * s->size) + 2 * hystmpc_room_for_reals(rows * h) +
-           2 * hystmpc_room_for_reals(rows) + 2 * hystmpc_room_for_reals(RANDOM_TRIED * h) +
-           2 * hystmpc_room_for_reals(h) + hystmpc_room_for_reals(elites * h) +
-           hystmpc_room_for_reals(random_program(l)) + hystmpc_room_for_reals(random_fit(l)) +
-           hystmpc_room_for(random_indices(l)) + hystmpc_room_for(elites * (long)sizeof(int)) +
+    return ROOM_LINE + room_for((long)s->samples * s->size) + 2 * room_for(rows * h) +
+           2 * room_for(rows) + 2 * room_for(RANDOM_TRIED * h) +
+           2 * room_for(h) + room_for(elites * h) +
+           room_for(random_program(l)) + room_for(random_fit(l)) +
+           room_for(random_indices(l)) + room_for(elites) +
            hystmpc_model_bytes(m, (int)rows, (int)h);
 }
 
@@ -67,20 +67,21 @@ static void random_lay_out(random_work *w, char *room) {
     const hystmpc_sampling *const s = w->sampling;
     const hystmpc_law *const l = s->fitted;
     const long h = w->horizon, rows = random_rows(w->planner), elites = s->elites > 0 ? s->elites : 0;
-    w->normals = hystmpc_reals(&room, (long)s->samples * s->size);
-    w->plans = hystmpc_reals(&room, rows * h);
-    w->angles = hystmpc_reals(&room, rows * h);
-    w->costs = hystmpc_reals(&room, rows);
-    w->ordered = hystmpc_reals(&room, rows);
-    w->tried = hystmpc_reals(&room, RANDOM_TRIED * h);
-    w->tried_angles = hystmpc_reals(&room, RANDOM_TRIED * h);
-    w->mean = hystmpc_reals(&room, h);
-    w->deviation = hystmpc_reals(&room, h);
-    w->elites = hystmpc_reals(&room, elites * h);
-    w->program = hystmpc_reals(&room, random_program(l));
-    w->fit = hystmpc_reals(&room, random_fit(l));
-    w->indices = (int *)hystmpc_part(&room, random_indices(l));
-    w->order = (int *)hystmpc_part(&room, elites * (long)sizeof(int));
+    room = room_begin(room);
+    w->normals = room_take(&room, (long)s->samples * s->size);
+    w->plans = room_take(&room, rows * h);
+    w->angles = room_take(&room, rows * h);
+    w->costs = room_take(&room, rows);
+    w->ordered = room_take(&room, rows);
+    w->tried = room_take(&room, RANDOM_TRIED * h);
+    w->tried_angles = room_take(&room, RANDOM_TRIED * h);
+    w->mean = room_take(&room, h);
+    w->deviation = room_take(&room, h);
+    w->elites = room_take(&room, elites * h);
+    w->program = room_take(&room, random_program(l));
+    w->fit = room_take(&room, random_fit(l));
+    w->indices = (int *)(void *)room_take(&room, random_indices(l));
+    w->order = (int *)(void *)room_take(&room, elites);
     w->room = room;
 }
 
