@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple, final
+from typing import NamedTuple, final
 
 import numpy as np
 
@@ -24,47 +23,6 @@ _LEAST = 0.05  # of every direction in the noise, as a share of the strongest, s
 _PARTS = 5  # of the fitted step, the whole one first
 _CHANGES = ActiveSetOptions().changes
 _KEPT = 0.3  # share of the elites that take part in the next iteration again (Pinneri et al. 2020)
-
-
-_WORD = 2**64
-
-
-def sampling_numbers(settings: SamplingMpcSettings, limits: CommandLimits, dt: float) -> Mapping[str, Any]:
-    """Return the fields of `hystmpc_sampling` by name, but for the law of the fitted step.
-
-        u = p + sigma M F w,  w standard normal (m,)
-
-    With M (H, m) of `MoveBlocking` and F (m, m) the noise at the ends of the blocks, `shape` is (M F)' (m, H) and
-    `whitening` is F^-1' (m, m); `sigmas` (N,) and the other deviations are in the unit of the command.
-
-    Args:
-        limits: of the command.
-        dt: sample time [s].
-
-    Raises:
-        ControllerError: if the blocks do not fit the horizon.
-    """
-    horizon, samples = settings.preview_samples(dt), settings.samples
-    blocking = MoveBlocking(settings.blocks(dt), horizon)
-    # the same distribution from as few normals as there are blocks
-    left, sizes, _ = np.linalg.svd(settings.noise.matrix(horizon)[blocking.ends])
-    strengths = np.full(len(left), _LEAST * sizes[0])
-    strengths[: sizes.size] = np.maximum(sizes, strengths[: sizes.size])
-    factor, sigma = left * strengths, settings.deviation(limits.rate * dt)
-    elites = min(max(2, math.ceil(settings.elites * samples)), samples)
-    return {
-        "samples": samples,
-        "size": len(blocking.lengths),
-        "elites": elites,
-        "kept": math.ceil(_KEPT * elites),
-        "seed": [settings.seed % _WORD, settings.seed // _WORD % _WORD],
-        "temperature": settings.temperature,
-        "sigma": sigma,
-        "least_sigma": settings.finest * sigma,
-        "sigmas": sigma * np.geomspace(1.0, settings.finest, samples),
-        "shape": np.ascontiguousarray((blocking.matrix @ factor).T),
-        "whitening": np.ascontiguousarray(np.linalg.inv(factor).T),
-    }
 
 
 @dataclass(frozen=True)
@@ -86,11 +44,16 @@ class SamplingPlanner(Planner[SampleCounter]):
     def __init__(self, predictor: Predictor, settings: SamplingMpcSettings, limits: CommandLimits) -> None:
         self._predictor, self._settings = predictor, settings
         horizon, dt = settings.preview_samples(predictor.dt), predictor.dt
-        self._numbers = numbers = sampling_numbers(settings, limits, dt)
+        self._sigma = settings.deviation(limits.rate * dt)
         blocking = MoveBlocking(settings.blocks(dt), horizon)
-        self._shape = numbers["shape"]
+        # the same distribution from as few normals as there are blocks
+        left, sizes, _ = np.linalg.svd(settings.noise.matrix(horizon)[blocking.ends])
+        strengths = np.full(len(left), _LEAST * sizes[0])
+        strengths[: sizes.size] = np.maximum(sizes, strengths[: sizes.size])
+        factor = left * strengths
+        self._shape = np.ascontiguousarray((blocking.matrix @ factor).T)
         self._cost = PlanCost(settings.weights, horizon)
-        self._polish = SampledGaussNewton(settings.weights, limits, blocking, numbers["whitening"], dt)
+        self._polish = SampledGaussNewton(settings.weights, limits, blocking, factor, dt)
         self._tables = LawTables(settings.weights, horizon, limits, dt, more=settings.samples)
         self._draw, self._clip = engine().draw_plans, engine().clip_plans
 
@@ -139,9 +102,9 @@ class SampledGaussNewton:
     """
 
     def __init__(
-        self, weights: WeightsSettings, limits: CommandLimits, blocking: MoveBlocking, whitening: Mat, dt: float
+        self, weights: WeightsSettings, limits: CommandLimits, blocking: MoveBlocking, factor: Mat, dt: float
     ) -> None:
-        self._whitening = whitening
+        self._whitening = np.ascontiguousarray(np.linalg.inv(factor).T)
         single = len(blocking.lengths) == blocking.horizon
         self._tables = LawTables(weights, blocking.horizon, limits, dt, None if single else blocking)
         self._steps = engine().sampled_steps
@@ -169,7 +132,7 @@ class PathIntegralPlanner(SamplingPlanner):
     def __init__(self, predictor: Predictor, settings: SamplingMpcSettings, limits: CommandLimits) -> None:
         super().__init__(predictor, settings, limits)
         self._mean = engine().weighted_mean
-        self._sigmas = self._numbers["sigmas"][:, None]
+        self._sigmas = self._sigma * np.geomspace(1.0, settings.finest, settings.samples)[:, None]
 
     def _best(
         self, problem: PlanningProblem, start: CommandPlan, generator: np.random.Generator, watch: Stopwatch
@@ -222,13 +185,14 @@ class CrossEntropyPlanner(SamplingPlanner):
 
     def __init__(self, predictor: Predictor, settings: SamplingMpcSettings, limits: CommandLimits) -> None:
         super().__init__(predictor, settings, limits)
-        self._elites, self._kept = int(self._numbers["elites"]), int(self._numbers["kept"])
+        self._elites = min(max(2, math.ceil(settings.elites * settings.samples)), settings.samples)
+        self._kept = math.ceil(_KEPT * self._elites)
 
     def _best(
         self, problem: PlanningProblem, start: CommandPlan, generator: np.random.Generator, watch: Stopwatch
     ) -> CommandPlan:
         horizon = start.commands.size
-        search = _CrossEntropy(start.commands, np.full(horizon, self._numbers["sigma"]), np.empty((0, horizon)), start)
+        search = _CrossEntropy(start.commands, np.full(horizon, self._sigma), np.empty((0, horizon)), start)
         for _ in range(self._settings.iterations):
             search = self._iterate(problem, search, generator, watch)
         last = self._cheapest(search.mean[None], problem)
@@ -250,7 +214,7 @@ class CrossEntropyPlanner(SamplingPlanner):
             raise PlanningError(f"none of {len(plans)} samples has a finite prediction")
         elites, first = plans[order], int(order[0])
         sample = CommandPlan(plans[first], angles[first], float(costs[first]))
-        deviation = np.maximum(elites.std(axis=0), self._numbers["least_sigma"])
+        deviation = np.maximum(elites.std(axis=0), self._settings.finest * self._sigma)
         finite = np.isfinite(costs)
         polished = self._cheapest(self._polish.plans(search.best, plans[finite], angles[finite], problem), problem)
         best = min((search.best, sample, polished), key=lambda plan: plan.cost)
