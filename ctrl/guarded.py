@@ -23,7 +23,7 @@ from hystmpc.trials.types import Index, Vec
 
 from .answers import SOURCES, status_words
 from .command import EMPTY, Command, CommandLimits, Timing, attempt, number_of, numbers_of, replace
-from .estimation.observer import ANGLE_BOUND_DEG, Estimate, Observer, usable_angle
+from .estimation.observer import ANGLE_BOUND_DEG, Estimate, Observer, Places, usable_angle
 from .law import Law, LawPart
 
 _ROUNDING = 1e-6  # of a sample
@@ -34,15 +34,6 @@ _NOT_AT_REST = constants()["HYSTMPC_NOT_AT_REST"]
 _STOPPED = "after repeated failures"
 
 Bytes = NDArray[np.uint8]
-
-
-@dataclass(frozen=True)
-class Places:
-    """Sizes of the estimate in a memory: states of the model, angles on their way and now, noise filters."""
-
-    states: int
-    angles: int
-    filters: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,6 +128,8 @@ class GuardedController(HoldsAddresses):
         self._planned = self._horizon - observer.delay_samples
         self._step = core.controller_step
         self._places = observer.places
+        model = problem.fields.get("model")
+        self._states = 0 if model is None else int(core.model_states(model.address))
         self._unusable = np.full(self._horizon, np.nan)
         self._local = local()
 
@@ -162,7 +155,7 @@ class GuardedController(HoldsAddresses):
         """Return a controller with the same observer, fallbacks and limits around a law written in Python."""
         from .problem import outside_law
 
-        part = LawPart(law, self._observer.states)
+        part = LawPart(law, self._states)
         problem = Struct("hystmpc_problem", **{**self.problem.fields, "law": outside_law(part)})
         return GuardedController(problem, self._limits, self._observer, self._rest, part)
 
@@ -191,7 +184,6 @@ class GuardedController(HoldsAddresses):
     def _begun(self, angle: float, held: float) -> GuardedState:
         memory = np.zeros(self._bytes, dtype=np.uint8)
         x = None if self._rest is None else np.ascontiguousarray(self._rest(angle, held), dtype=np.float64)
-        self._observer.begin(angle, held)
         answer = self._engine.controller_init(self._address, memory, x, angle, held, self._room)
         if fault := last_fault():
             raise ControllerError(fault)
@@ -247,7 +239,7 @@ class GuardedController(HoldsAddresses):
 
     def model_state(self, state: GuardedState) -> Vec:
         """State from which the predictor predicts, after every command sent so far."""
-        x, numbers = np.empty(self._observer.states), np.empty(16)
+        x, numbers = np.empty(self._states), np.empty(16)
         self._engine.controller_look(self._address, state.memory, numbers, x, None, None, None, None)
         return x
 
@@ -260,7 +252,7 @@ class GuardedController(HoldsAddresses):
         age = 0.0 if -_ROUNDING < age < 0.0 else age
         memory = state.memory.copy()
         if not self._engine.controller_measure(self._address, memory, usable_angle(y), age, self._room):
-            raise ControllerError(last_fault() or self._observer.refused(state.estimate, y, age))
+            raise ControllerError(last_fault() or self._observer.refused(y, age))
         return replace(state, memory=memory)
 
     def stop(self, state: GuardedState, cause: str) -> GuardedState:
