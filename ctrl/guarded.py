@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from threading import local
 from time import perf_counter
 from typing import Any, final
@@ -22,9 +23,10 @@ from hystmpc.trials.errors import ControllerError, HystmpcError, shown
 from hystmpc.trials.types import Index, Vec
 
 from .answers import SOURCES, status_words
-from .command import EMPTY, Command, CommandLimits, Timing, attempt, number_of, numbers_of, replace
+from .command import EMPTY, Command, CommandLimits, Timing, number_of, numbers_of, replace
 from .estimation.observer import ANGLE_BOUND_DEG, Estimate, Observer, Places, usable_angle
 from .law import Law, LawPart
+from .linearised.program import IterativeSolution
 
 _ROUNDING = 1e-6  # of a sample
 _HEAD, _KNOWN, _COMMAND = layout("hystmpc_head"), layout("hystmpc_known"), layout("hystmpc_command")
@@ -81,7 +83,7 @@ class GuardedState:
         places, k = self.places, self.known
         numbers = self.memory[_BEHIND_KNOWN:].view(np.float64)
         ends = np.cumsum([0, places.states, *[places.angles] * 3, 3 * places.filters]).tolist()
-        model, angles, responsive, moves, bank = (numbers[a:b] for a, b in zip(ends, ends[1:], strict=False))
+        model, angles, responsive, moves, bank = (numbers[a:b] for a, b in pairwise(ends))
         return Estimate(
             model, k.command, tuple(angles.tolist()), tuple(bool(one) for one in responsive.tolist()),
             tuple(moves.tolist()), k.disturbance, k.variance, k.measured, k.missing, k.stalled, k.added,
@@ -107,7 +109,7 @@ class GuardedController(HoldsAddresses):
         observer: of the problem.
         rest: state of the predictor (S,) at rest at an angle [deg] and a command; None without a model.
         law: of the problem, if it is written in Python.
-        planner: words of a planner written in Python on its last solution.
+        solution: of quadratic programs in Python, by OSQP.
     """
 
     def __init__(
@@ -117,10 +119,10 @@ class GuardedController(HoldsAddresses):
         observer: Observer,
         rest: Callable[[float, float], Vec] | None,
         law: LawPart | None = None,
-        planner: Callable[[], str] | None = None,
+        solution: IterativeSolution | None = None,
     ) -> None:
         self.problem, self._limits, self._observer, self._rest = problem, limits, observer, rest
-        self._outside, self._planner = law, planner
+        self._outside, self._solution = law, solution
         self._address = problem.address
         self._engine = core = engine()
         self._bytes, self._room_bytes = int(core.memory_bytes(self._address)), int(core.room_bytes(self._address))
@@ -325,7 +327,7 @@ class GuardedController(HoldsAddresses):
             "outside": outside,
             "inverse": outside,
             "advance": outside,
-            "unfinished": "" if self._planner is None else self._planner(),
+            "unfinished": "" if self._solution is None else f"{self._solution.words}, its best step used",
         }
         return status_words(answer, level, known.forecast_error, known.stalled, more)
 
