@@ -99,9 +99,7 @@ def problem_of(
 
 def outside_law(law: LawPart) -> Struct:
     """Return the `hystmpc_control_law` of a law that is written in Python."""
-    return struct(
-        "hystmpc_control_law", kind=constants()["HYSTMPC_PROPOSED"], horizon=law.law.horizon, propose=law
-    )
+    return struct("hystmpc_control_law", kind=constants()["HYSTMPC_PROPOSED"], horizon=law.law.horizon, propose=law)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,6 @@ from typing import Any, final
 import numpy as np
 
 from hystmpc.core.library import engine
-from hystmpc.core.outside import keep_fault
 from hystmpc.core.structs import constants
 from hystmpc.trials.types import Mat, Vec
 
@@ -193,7 +192,6 @@ class BlockedQp(PlanProgram):
         super().__init__(weights, limits, blocking.horizon, dt, blocking)
 
 
-
 @final
 class IterativeSolution:
     """Solution of a planning step's program by OSQP, as the engine calls it: `solve` of core/planner.h.
@@ -221,11 +219,17 @@ class IterativeSolution:
         """Words of this thread's last solution."""
         return str(getattr(self._local, "words", ""))
 
+    @property
+    def error(self) -> BaseException | None:
+        """What this thread's last solution has raised."""
+        error: BaseException | None = getattr(self._local, "error", None)
+        return error
+
     def __call__(
         self, reference: int, feedforward: int, scalars: int, jacobian: int, commands: int, angles: int, out: int
     ) -> int:
         """Solve the program around a plan; 0, 1 where the iterations ran out, or a negative number for no solution."""
-        size = self._horizon
+        size, self._local.error = self._horizon, None
         u_last, low, high = _numbers(scalars, 3).tolist()
         wanted, feed, plan, along = (_numbers(at, size) for at in (reference, feedforward, commands, angles))
         problem, around = PlanningProblem(plan, u_last, wanted, feed, (low, high)), CommandPlan(plan, along, 0.0)
@@ -235,8 +239,8 @@ class IterativeSolution:
             if not np.isfinite(data.hessian.sum() + data.gradient.sum()):
                 return _NO_PROGRAM if np.isfinite(slopes.sum()) else _NO_JACOBIAN
             solution = self._solver.solve(data)
-        except Exception as error:  # noqa: BLE001 - a solver may raise anything, the loop must go on
-            keep_fault(error)
+        except BaseException as error:  # noqa: BLE001 - through C no exception passes; `error` hands it on
+            self._local.error = error
             return _NO_ANSWER
         self._local.words = f"{self._solver.name}: {solution.status}"
         if not solution.usable:
