@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import NamedTuple, final
 
 import numpy as np
 
 from hystmpc.core.library import engine
+from hystmpc.core.structs import Struct, struct
 from hystmpc.trials.types import Vec
 
 from ..chain import Chain
 from ..contract.metadata import InitialRule, ModelMetadata
-from ..model import Inverse, Predictor
+from ..fronts import EngineInverse
+from ..model import Inverse, Predictor, kind_of
 from ..operators.dynamics import Delay, stored
 from ..operators.operator import Operator
 from ..prediction.compiled import CompiledPredictor
@@ -75,16 +78,8 @@ class Drive:
         return DriveFit(inputs, outputs, first)
 
 
-class DrivenParts(NamedTuple):
-    """States of the inverted model, of the drive before it and of the drive behind it; empty where there is none."""
-
-    middle: Vec
-    front: Vec
-    back: Vec
-
-
 @final
-class DrivenInverse(Inverse):
+class DrivenInverse(EngineInverse):
     """Static inverse of a model with dynamics before or behind it: the command that brings it to rest at the angle.
 
     Args:
@@ -98,14 +93,15 @@ class DrivenInverse(Inverse):
         self.inner, self.predictor, self.front, self.back = inner, predictor, front, back
         self.delay_samples = sum(drive.delay_samples for drive in (front, back) if drive)
 
-    def parts(self, state: Vec) -> DrivenParts:
-        """Parts of the state (S,) of the whole model."""
-        ahead = self.front.size if self.front else 0
-        cut = state.size - (self.back.size if self.back else 0)
-        return DrivenParts(state[ahead:cut], state[:ahead], state[cut:])
+    @property
+    def state_size(self) -> int:
+        return self.predictor.state_size + sum(drive.size for drive in (self.front, self.back) if drive)
 
-    def command(self, state: Vec, theta: float, u_last: float) -> float:
-        return self.inner.command(self.parts(state).middle, theta, u_last)
+    @cached_property
+    def part(self) -> Struct:
+        front, back = (drive and drive.predictor.part for drive in (self.front, self.back))
+        kind, predictor = kind_of("DRIVEN"), self.predictor.part
+        return struct("hystmpc_inverse", kind=kind, predictor=predictor, inner=self.inner.part, front=front, back=back)
 
 
 def first_acting(response: Vec) -> int:
