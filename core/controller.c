@@ -45,9 +45,9 @@ int hystmpc_reference_samples(const void *problem) {
 long hystmpc_room_bytes(const void *problem) {
     const hystmpc_problem *p = problem;
     const long numbers = hystmpc_reference_samples(p) + 2L * p->law->horizon + states_of(p);
-    long parts = hystmpc_longer(hystmpc_law_room(p), hystmpc_observer_bytes(p->sensing, p->model));
-    if (p->model) parts = hystmpc_longer(parts, hystmpc_model_bytes(p->model, 1, 1));
-    return 4 * hystmpc_room_for(0) + numbers * (long)sizeof(real) + parts;
+    long parts = longer(hystmpc_law_room(p), hystmpc_observer_bytes(p->sensing, p->model));
+    if (p->model) parts = longer(parts, hystmpc_model_bytes(p->model, 1, 1));
+    return 6L * ROOM_LINE + numbers * (long)sizeof(real) + parts;
 }
 
 static int started(const hystmpc_memory *m) { return m->head->mark == HYSTMPC_MARK; }
@@ -95,7 +95,8 @@ int hystmpc_controller_init(const void *problem, char *memory, const real *x, re
     const hystmpc_problem *p = problem;
     hystmpc_memory m;
     memory_at(p, memory, &m);
-    real *state = hystmpc_reals(&room, states_of(p));
+    room = room_begin(room);
+    real *state = room_take(&room, states_of(p));
     int answer = is_finite(hystmpc_usable_angle(angle_deg)) ? HYSTMPC_STARTED : HYSTMPC_BAD_ANGLE;
     if (answer == HYSTMPC_STARTED && !(p->lower <= command && command <= p->upper)) answer = HYSTMPC_BAD_COMMAND;
     if (answer == HYSTMPC_STARTED)
@@ -127,7 +128,8 @@ int hystmpc_controller_look_on(const void *problem, char *memory, real angle_deg
     hystmpc_memory m;
     memory_at(p, memory, &m);
     if (!started(&m)) return 1;
-    real *state = hystmpc_reals(&room, states_of(p));
+    room = room_begin(room);
+    real *state = room_take(&room, states_of(p));
     const real y = hystmpc_usable_angle(angle_deg);
     hystmpc_observer_correct(p->sensing, p->model, &m.observed, angle_deg);
     if (is_finite(y)) m.head->due = y;
@@ -214,7 +216,8 @@ static void decide(const hystmpc_problem *p, hystmpc_memory *m, const real *refe
     const int samples = hystmpc_reference_samples(p);
     hystmpc_head *head = m->head;
     hystmpc_given g;
-    real *wanted = hystmpc_reals(&room, samples), *state = hystmpc_reals(&room, states_of(p));
+    room = room_begin(room);
+    real *wanted = room_take(&room, samples), *state = room_take(&room, states_of(p));
     out->planned = out->fault = 0;
     if (head->stopped) {
         out->status = HYSTMPC_LATCHED;
@@ -268,7 +271,8 @@ void hystmpc_controller_step(const void *problem, char *memory, real angle_deg, 
         return;
     }
     memset(&out, 0, sizeof out);
-    out.commands = plan ? plan : hystmpc_reals(&room, 2L * horizon);
+    room = room_begin(room);
+    out.commands = plan ? plan : room_take(&room, 2L * horizon);
     out.angles = out.commands + horizon;
     hystmpc_observer_correct(p->sensing, p->model, &m.observed, angle_deg);
     decide(p, &m, reference, &out, room);

@@ -48,8 +48,9 @@ static void take_over_pid(const hystmpc_problem *p, hystmpc_head *f, real error,
 static void feed_forward(const hystmpc_problem *p, hystmpc_memory *m, const real *x, real u_last,
                          const real *reference, hystmpc_proposal *out, char *room) {
     hystmpc_head *f = m->head;
+    room = room_begin(room);
     const int ahead = p->law->kind != HYSTMPC_PREDICTIVE && p->law->planner, samples = ahead ? p->law->horizon : 1;
-    real *wanted = hystmpc_reals(&room, samples), before = f->followed;
+    real *wanted = room_take(&room, samples), before = f->followed;
     for (int k = 0; k < samples; k++) {
         if (absolute(reference[k] - before) >= p->law->dead_zone) before = reference[k];
         wanted[k] = before;
@@ -209,15 +210,16 @@ HYSTMPC_LOCAL long hystmpc_law_room(const hystmpc_problem *p) {
     const long horizon = p->law->horizon;
     long bytes = 0;
     if (p->law->planner) bytes = hystmpc_predictive_room(p);
-    if (p->model) bytes = hystmpc_longer(bytes, hystmpc_model_bytes(p->model, 1, 1));
-    return bytes + hystmpc_room_for_reals(horizon) + hystmpc_room_for_reals(changed_numbers(p));
+    if (p->model) bytes = longer(bytes, hystmpc_model_bytes(p->model, 1, 1));
+    return 2 * ROOM_LINE + bytes + room_for(horizon) + room_for(changed_numbers(p));
 }
 
 HYSTMPC_LOCAL void hystmpc_propose(const hystmpc_problem *p, hystmpc_memory *m, const hystmpc_given *g,
                                    hystmpc_proposal *out, char *room) {
     const hystmpc_head before = *m->head;
     const int states = p->model ? hystmpc_model_states(p->model) : 0;
-    real *alone = hystmpc_reals(&room, changed_numbers(p)), *fed = alone + states, *due = fed + p->law->horizon;
+    room = room_begin(room);
+    real *alone = room_take(&room, changed_numbers(p)), *fed = alone + states, *due = fed + p->law->horizon;
     copy(m->alone, alone, states);
     copy(m->fed, fed, before.fed);
     copy(m->due, due, before.dues);

@@ -17,9 +17,8 @@ typedef struct {
 static long planning_room(const hystmpc_problem *p) {
     const hystmpc_planner *planner = p->law->planner;
     const long h = planner->law->horizon, count = p->law->candidates;
-    const long candidates = 2 * hystmpc_room_for_reals(count * h) + hystmpc_room_for_reals(2 * h);
-    return candidates + hystmpc_longer(hystmpc_model_bytes(p->model, (int)count, (int)h),
-                                       hystmpc_planner_bytes(planner, p->model));
+    const long candidates = 2 * room_for(count * h) + room_for(2 * h);
+    return candidates + longer(hystmpc_model_bytes(p->model, (int)count, (int)h), hystmpc_planner_bytes(planner, p->model));
 }
 
 static void begin_planning(planning *q, const hystmpc_problem *p, const real *x, char *room) {
@@ -28,9 +27,9 @@ static void begin_planning(planning *q, const hystmpc_problem *p, const real *x,
     q->planner = p->law->planner;
     q->x = x;
     q->horizon = (int)h;
-    q->plans = hystmpc_reals(&room, p->law->candidates * h);
-    q->angles = hystmpc_reals(&room, p->law->candidates * h);
-    q->targets = hystmpc_reals(&room, 2 * h);
+    q->plans = room_take(&room, p->law->candidates * h);
+    q->angles = room_take(&room, p->law->candidates * h);
+    q->targets = room_take(&room, 2 * h);
     q->room = room;
 }
 
@@ -121,7 +120,7 @@ static void refuse_plan(hystmpc_proposal *out, int status, int fault) {
 }
 
 HYSTMPC_LOCAL long hystmpc_predictive_room(const hystmpc_problem *p) {
-    return planning_room(p) + hystmpc_room_for_reals(p->law->planner->law->horizon);
+    return ROOM_LINE + planning_room(p) + room_for(p->law->planner->law->horizon);
 }
 
 /* The plan improved, and in a hold limited. */
@@ -139,7 +138,8 @@ static void improve_plan(const planning *q, hystmpc_head *head, const hystmpc_gi
 HYSTMPC_LOCAL void hystmpc_propose_plan(const hystmpc_problem *p, hystmpc_head *head, const hystmpc_given *g,
                                         hystmpc_proposal *out, char *room) {
     const int h = p->law->planner->law->horizon, resting = head->constant > 0;
-    real *wanted = hystmpc_reals(&room, h);
+    room = room_begin(room);
+    real *wanted = room_take(&room, h);
     hystmpc_plan best = {out->commands, out->angles, R(0.0)};
     planning q;
     begin_planning(&q, p, g->state, room);
@@ -179,7 +179,7 @@ HYSTMPC_LOCAL int hystmpc_plan_ahead(const hystmpc_problem *p, const real *x, co
                                      const real *remaining, int left, real tolerance, hystmpc_plan *best, char *room) {
     const int h = p->law->planner->law->horizon;
     planning q;
-    begin_planning(&q, p, x, room);
+    begin_planning(&q, p, x, room_begin(room));
     const int count = build_candidates(&q, wanted, u_last, remaining, left, 0);
     if (count < 0 || predict_candidates(&q, 0, count)) return HYSTMPC_NO_ANSWER;
     const hystmpc_task task = {wanted, q.plans + HYSTMPC_INVERTED * h, u_last, -INFINITE, INFINITE};

@@ -1,27 +1,30 @@
-/* Memory of a call, part after part; every part begins at an address that 64 divides, where a vector may lie. */
+/* Parts of a room that the caller gives as bytes: each begins at a cache line, at which networks want their numbers. */
 #ifndef HYSTMPC_ROOM_H
 #define HYSTMPC_ROOM_H
 
 #include "real.h"
 
 #include <stddef.h>
-#include <stdint.h>
 
-/* Bytes that a part of so many bytes takes at most, wherever the memory begins. */
-static inline long hystmpc_room_for(long bytes) { return bytes + 64; }
+enum { ROOM_LINE = 64 };
 
-static inline void *hystmpc_part(char **room, long bytes) {
-    char *const at = *room + (64 - (uintptr_t)*room % 64) % 64;
-    *room = at + bytes;
-    return at;
+/* Bytes that so many numbers take of a room, and those that its beginning may lose. */
+static inline long room_for(long numbers) {
+    return (numbers * (long)sizeof(real) + ROOM_LINE - 1) / ROOM_LINE * ROOM_LINE;
 }
 
-static inline real *hystmpc_reals(char **room, long count) {
-    return (real *)hystmpc_part(room, count * (long)sizeof(real));
+/* The first cache line of a room. */
+static inline char *room_begin(char *room) {
+    return room + (ROOM_LINE - (size_t)room % ROOM_LINE) % ROOM_LINE;
 }
 
-static inline long hystmpc_room_for_reals(long count) { return hystmpc_room_for(count * (long)sizeof(real)); }
+/* The next numbers of a room that begins at a cache line. */
+static inline real *room_take(char **room, long numbers) {
+    real *const taken = (real *)(void *)*room;
+    *room += room_for(numbers);
+    return taken;
+}
 
-static inline long hystmpc_longer(long a, long b) { return a > b ? a : b; }
+static inline long longer(long a, long b) { return a < b ? b : a; }
 
 #endif

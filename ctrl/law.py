@@ -1,0 +1,179 @@
+"""Control law written in Python: its interface, its settings, and the law as the engine calls it."""
+
+from __future__ import annotations
+
+import ctypes
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from threading import local
+from typing import Any, ClassVar, Generic, TypeVar, final
+
+import numpy as np
+
+from hystmpc.core.structs import constants, layout
+from hystmpc.trials.config import Count, NotNegativeInt, Settings
+from hystmpc.trials.types import Vec
+
+from .command import EMPTY, ControlInput, LimitsSettings, Source, Stopwatch, described
+from .estimation.observer import SensorKindSettings
+
+M = TypeVar("M")
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal(Generic[M]):
+    """Proposed command, next memory, plan (`predicted` without disturbance) and level; None for the law's level."""
+
+    u: float
+    memory: M
+    plan: Vec = field(default_factory=lambda: EMPTY)
+    predicted: Vec = field(default_factory=lambda: EMPTY)
+    status: str = "ok"
+    source: Source | None = None
+
+
+class Law(ABC, Generic[M]):
+    """Control law with explicit memory; it may raise, and propose commands beyond the limits."""
+
+    horizon: int  # reference samples that the law uses
+    source: Source
+
+    @abstractmethod
+    def init(self, y: float, u: float) -> M:
+        """Return the memory at rest with measured angle `y` [deg] and held command `u`."""
+
+    @abstractmethod
+    def propose(self, memory: M, given: ControlInput, watch: Stopwatch) -> Proposal[M]:
+        """Propose a command; the time of each stage is recorded in `watch`."""
+
+
+class FallbackSettings(Settings):
+    """Block `ladder`: conditions for prediction, fallback and stop.
+
+    Attributes:
+        stop_after_failures: consecutive failed samples after which the stop is latched.
+        max_missing_samples: consecutive samples without usable measurement that are bridged by prediction.
+        safe_command: where a stop goes, within the rate limit [mm or bar]; null stays at the last command.
+    """
+
+    stop_after_failures: Count = 25
+    max_missing_samples: NotNegativeInt = 25
+    safe_command: float | None = None
+
+
+class LawSettings(Settings):
+    """Base class of the settings of every kind of controller.
+
+    An external class builds its parts itself. It defines
+
+        law(predictor, inverse, limits) -> Law
+        observer(predictor) -> Observer
+        model_pair(predictor, inverse) -> (predictor, inverse), where it does not work with these two as they are
+
+    Attributes:
+        limits: may only narrow those of the device; null takes them as they are.
+        ladder: when prediction, fallback and stop set in.
+        estimator: how the measurements come.
+    """
+
+    falls_back_on_inverse: ClassVar[bool] = True
+    predicts: ClassVar[bool] = (
+        False  # whether the law predicts with the model itself; others get an operator in place of a network
+    )
+
+    limits: LimitsSettings | None = None
+    ladder: FallbackSettings = FallbackSettings()
+    estimator: SensorKindSettings = SensorKindSettings()
+
+    def resolved(self) -> LawSettings:
+        """Return these settings, or those of the external class that they name."""
+        return self
+
+    def bridged_samples(self, dt_s: float) -> int:
+        """Number of consecutive samples without a usable measurement that are bridged, at sample time `dt_s` [s]."""
+        usual = self.ladder.max_missing_samples
+        return usual if hasattr(self, "law") else self.estimator.bridged_samples(usual, dt_s)
+
+
+@final
+class LawPart:
+    """A law written in Python as the engine calls it: `propose` of `hystmpc_control_law` in core/controller.h.
+
+    The memory of the law stands beside that of the engine: `begin` gives the present one, `after` the next.
+
+    Args:
+        law: with an explicit memory.
+        states: numbers of the state that it is given.
+    """
+
+    def __init__(self, law: Law[Any], states: int) -> None:
+        self.law, self._states, self._local = law, states, local()
+
+    def begin(self, memory: Any) -> None:
+        """Set the memory with which the next sample is proposed."""
+        self._local.memory, self._local.answer, self._local.fault = memory, None, ""
+
+    @property
+    def answer(self) -> Proposal[Any] | None:
+        """Proposal of this sample; None where the law failed, or was not asked."""
+        answer: Proposal[Any] | None = getattr(self._local, "answer", None)
+        return answer
+
+    @property
+    def fault(self) -> str:
+        """One line on what the law has raised in this sample; empty if nothing."""
+        return str(getattr(self._local, "fault", ""))
+
+    def __call__(self, given: int, proposal: int) -> int:
+        """Ask the law; 0, or 1 where it raises."""
+        asked, out, horizon = _GIVEN.from_address(given), _PROPOSAL.from_address(proposal), self.law.horizon
+        try:
+            with np.errstate(all="ignore"):
+                answer = self.law.propose(self._local.memory, self._input(asked), Stopwatch())
+            out.u = float(answer.u)
+        except Exception as error:  # noqa: BLE001 - a law may raise anything, the loop must go on
+            self._local.fault = described(error)
+            return 1
+        out.source = _SOURCES[answer.source or self.law.source]
+        out.planned = planned = min(answer.plan.size, horizon)
+        _numbers(out.commands, planned)[:] = answer.plan[:planned]
+        foreseen = answer.predicted if answer.predicted.size else np.full(planned, np.nan)
+        _numbers(out.angles, planned)[:] = foreseen[:planned]
+        self._local.answer = answer
+        return 0
+
+    def _input(self, asked: Any) -> ControlInput:
+        return ControlInput(
+            state=_numbers(asked.state, self._states).copy(),
+            disturbance=asked.disturbance,
+            disturbance_sigma=asked.sigma,
+            measured=asked.measured,
+            age=asked.age,
+            u_last=asked.u_last,
+            due=asked.due,
+            setpoint=asked.setpoint,
+            reference=_numbers(asked.reference, self.law.horizon).copy(),
+            remaining_plan=_numbers(asked.remaining, asked.planned).copy(),
+            forecast_error=asked.forecast_error,
+        )
+
+
+_GIVEN, _PROPOSAL = layout("hystmpc_given"), layout("hystmpc_proposal")
+_SOURCES = {
+    source: constants()[f"HYSTMPC_{name}"]
+    for source, name in {
+        Source.MPC: "MPC",
+        Source.CONTROLLER: "FEEDBACK",
+        Source.SHIFTED_PLAN: "SHIFTED_PLAN",
+        Source.INVERSE: "INVERSE",
+        Source.HOLD: "HOLD",
+        Source.STOP: "STOP",
+    }.items()
+}
+
+
+def _numbers(address: int | None, count: int) -> Vec:
+    """The engine's numbers at an address, as an array (count,) on its memory."""
+    if not address or count <= 0:
+        return np.empty(0)
+    return np.ctypeslib.as_array((ctypes.c_double * count).from_address(address))
