@@ -44,8 +44,8 @@ typedef struct {
     int spare;
 } hystmpc_known;
 
-/* Functions of an observer that is written in Python: they write into `known`, x (S) and the angles (D + 1), and answer 0,
- * or another number where it failed. */
+/* Functions of an observer that is written in Python: they write into `known`, x (S, and the learned part's numbers where
+ * the model has one) and the angles (D + 1), and answer 0, or another number where it failed. */
 typedef struct {
     int (*correct)(hystmpc_known *known, real *x, real *angles, real y);
     int (*correct_late)(hystmpc_known *known, real *x, real *angles, real y, real age);
@@ -89,8 +89,8 @@ typedef struct {
     hystmpc_estimate now;   /* with the learned part; its `model` is not used where `alone` is */
     hystmpc_estimate alone; /* of the model alone; only where something is learned */
     hystmpc_learning learning;
-    char *past;             /* of frames: (oldest) estimates of the last instants, the newest last */
-    int *instants;          /* how many of them are known */
+    char *past;             /* of frames: ring of (oldest) estimates of the last instants */
+    int *instants;          /* written to it, less whole rounds of a full ring: 0 ... 2 oldest - 1 */
 } hystmpc_observed;
 
 /* Numbers of `past` in learning.h. */
@@ -112,7 +112,8 @@ enum {
 };
 
 /* At rest at the angle y under the held command u, the predictor in the state x (S) at rest. Nothing is written where the
- * start is refused. Without a sensor the model's angle counts as measured. */
+ * start is refused. Without a sensor the model's angle counts as measured. The state x of an observer written in Python is
+ * taken as it is, with y for its angles. Limits of the command are the caller's matter. */
 HYSTMPC_LOCAL int hystmpc_observer_init(const hystmpc_sensing *s, const hystmpc_model *m, hystmpc_observed *o,
                                         const real *x, real y, real u, char *room);
 
@@ -141,5 +142,20 @@ HYSTMPC_LOCAL void hystmpc_observer_state(const hystmpc_sensing *s, const hystmp
 /* Age of the last accepted measurement [samples]; standard deviation of what noise does to the disturbance [deg]. */
 HYSTMPC_LOCAL real hystmpc_observer_age(const hystmpc_observed *o);
 HYSTMPC_LOCAL real hystmpc_observer_sigma(const hystmpc_sensing *s, const hystmpc_observed *o);
+
+/* The same for Python, which has the memory alone (observing.c); `model` may be null. */
+HYSTMPC_API long hystmpc_observing_bytes(const void *sensing, const void *model);
+HYSTMPC_API long hystmpc_observing_room(const void *sensing, const void *model);
+HYSTMPC_API int hystmpc_observing_init(const void *sensing, const void *model, char *memory, const real *x, real y,
+                                       real u, char *room);
+HYSTMPC_API void hystmpc_observing_correct(const void *sensing, const void *model, char *memory, real y);
+HYSTMPC_API int hystmpc_observing_correct_late(const void *sensing, const void *model, char *memory, real y, real age,
+                                               char *room);
+HYSTMPC_API void hystmpc_observing_advance(const void *sensing, const void *model, char *memory, real u, char *room);
+
+/* numbers (10): command, disturbance, variance, measured, age, added, forecast_error, sigma, missing, stalled; the state
+ * that predictions start from, angles, moves, responsive (D + 1), bank (3, M); what is null is left out. */
+HYSTMPC_API void hystmpc_observing_look(const void *sensing, const void *model, const char *memory, real *numbers,
+                                        real *x, real *angles, real *moves, real *responsive, real *bank);
 
 #endif

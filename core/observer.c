@@ -1,0 +1,391 @@
+/* An estimate from rest, corrected and advanced sample by sample, with a sensor or without, with a learned part or without;
+ * the filters of its disturbance are in estimator.c, those of the learned part in learning.c. */
+#include "estimates.h"
+
+#include <string.h>
+
+static long observer_rounded(long bytes, long unit) { return (bytes + unit - 1) / unit * unit; }
+
+static long observer_row(int numbers) { return observer_rounded((long)numbers * (long)sizeof(real), 8); }
+
+static int observer_newest(const hystmpc_sensing *s) {
+    return s->sensor == HYSTMPC_NEWEST || s->sensor == HYSTMPC_NEWEST_FRAME;
+}
+
+static int observer_learns(const hystmpc_sensing *s, const hystmpc_model *m) {
+    return s->sensor == HYSTMPC_CONTINUOUS && m && m->learner;
+}
+
+/* Whether the observer advances a model by itself. */
+static int observer_has_model(const hystmpc_sensing *s, const hystmpc_model *m) {
+    return !observer_newest(s) && s->sensor != HYSTMPC_OBSERVED && m && m->predictor;
+}
+
+HYSTMPC_LOCAL int hystmpc_later(int samples) { return samples < HYSTMPC_MOST_SAMPLES ? samples + 1 : samples; }
+
+HYSTMPC_LOCAL real hystmpc_usable_angle(real y) { return absolute(y) <= HYSTMPC_ANGLE_BOUND ? y : (real)NAN; }
+
+HYSTMPC_LOCAL int hystmpc_numbers_past(const hystmpc_learner *n) {
+    return 3 + HYSTMPC_DELAYS + (HYSTMPC_DELAYS + 1 + n->delay) * HYSTMPC_MEMORY * HYSTMPC_LAGS;
+}
+
+/* An observer written in Python holds the learned part's numbers in its state too, where there is one. */
+HYSTMPC_LOCAL hystmpc_extent hystmpc_extent_of(const hystmpc_sensing *s, const hystmpc_model *m) {
+    hystmpc_extent n = {0, 0, 0};
+    if (observer_newest(s)) return n;
+    if (m && m->predictor) n.states = m->predictor->states;
+    if (m && m->learner && s->sensor == HYSTMPC_OBSERVED) n.states += (int)(sizeof(hystmpc_learned) / sizeof(real));
+    n.angles = s->delay + 1;
+    if (s->noise) n.bank = 3 * s->noise->sensors * s->noise->drifts * s->noise->motions;
+    return n;
+}
+
+HYSTMPC_LOCAL long hystmpc_estimate_bytes(const hystmpc_extent *n) {
+    return observer_rounded((long)sizeof(hystmpc_known), 8) + observer_row(n->states) + 3 * observer_row(n->angles) +
+           observer_row(n->bank);
+}
+
+/* So many numbers of a block, which goes on behind them. */
+static real *observer_take(char **at, int numbers) {
+    real *here = (real *)(void *)*at;
+    *at += observer_row(numbers);
+    return here;
+}
+
+HYSTMPC_LOCAL hystmpc_estimate hystmpc_estimate_at(const hystmpc_extent *n, char *block) {
+    hystmpc_estimate e;
+    e.known = (hystmpc_known *)(void *)block;
+    block += observer_rounded((long)sizeof(hystmpc_known), 8);
+    e.model = observer_take(&block, n->states);
+    e.angles = observer_take(&block, n->angles);
+    e.responsive = observer_take(&block, n->angles);
+    e.moves = observer_take(&block, n->angles);
+    e.bank = observer_take(&block, n->bank);
+    return e;
+}
+
+HYSTMPC_LOCAL long hystmpc_observed_bytes(const hystmpc_sensing *s, const hystmpc_model *m) {
+    const hystmpc_extent n = hystmpc_extent_of(s, m);
+    const long block = hystmpc_estimate_bytes(&n);
+    long bytes = block;
+    if (observer_learns(s, m))
+        bytes += block + observer_rounded((long)sizeof(hystmpc_filters), 8) +
+                 observer_row(hystmpc_numbers_past(m->learner)) + observer_row(n.angles);
+    if (s->sensor == HYSTMPC_FRAMES) bytes += (long)s->oldest * block + 8;
+    return bytes;
+}
+
+HYSTMPC_LOCAL void hystmpc_observed_at(const hystmpc_sensing *s, const hystmpc_model *m, char *memory,
+                                       hystmpc_observed *o) {
+    const hystmpc_extent n = hystmpc_extent_of(s, m);
+    const long block = hystmpc_estimate_bytes(&n);
+    memset(o, 0, sizeof *o);
+    o->now = hystmpc_estimate_at(&n, memory);
+    memory += block;
+    if (observer_learns(s, m)) {
+        o->alone = hystmpc_estimate_at(&n, memory);
+        memory += block;
+        o->learning.filters = (hystmpc_filters *)(void *)memory;
+        memory += observer_rounded((long)sizeof(hystmpc_filters), 8);
+        o->learning.past = observer_take(&memory, hystmpc_numbers_past(m->learner));
+        o->learning.added = observer_take(&memory, n.angles);
+    }
+    if (s->sensor == HYSTMPC_FRAMES) {
+        o->past = memory;
+        o->instants = (int *)(void *)(memory + (long)s->oldest * block);
+    }
+}
+
+static long observer_predictor_room(const hystmpc_model *m) {
+    return m && m->predictor ? observer_rounded(hystmpc_predictor_bytes(m->predictor, 1, 1), 64) : 0;
+}
+
+HYSTMPC_LOCAL long hystmpc_observer_bytes(const hystmpc_sensing *s, const hystmpc_model *m) {
+    const hystmpc_extent n = hystmpc_extent_of(s, m);
+    const long work = s->sensor == HYSTMPC_FRAMES ? hystmpc_frames_work(s, &n) : 0;
+    return observer_predictor_room(m) + observer_row(n.states) + observer_row(n.angles) + work;
+}
+
+HYSTMPC_LOCAL real *hystmpc_observer_work(const hystmpc_model *m, char *room) {
+    return (real *)(void *)(room + observer_predictor_room(m));
+}
+
+HYSTMPC_LOCAL int hystmpc_next_of_model(const hystmpc_model *m, const real *x, real u, real *next, real *angle,
+                                        char *room) {
+    const int states = m->predictor->states;
+    real sum = R(0.0);
+    memcpy(next, x, sizeof(real) * (size_t)states);
+    if (hystmpc_predictor_advance(m->predictor, next, u, angle, room) != 0) return 0;
+    for (int i = 0; i < states; i++) sum += next[i];
+    return absolute(*angle) <= HYSTMPC_ANGLE_BOUND && is_finite(sum);
+}
+
+/* Rest at y under u, the state (S) and the model's angle given; what the model cannot explain of y is the first
+ * disturbance. With few and noisy frames the model counts as right at first. */
+static void observer_start(const hystmpc_sensing *s, const hystmpc_extent *n, hystmpc_estimate *e, const real *x,
+                           real angle, real y, real u) {
+    memset(e->known, 0, sizeof *e->known);
+    e->known->command = u;
+    e->known->measured = s->sensor == HYSTMPC_NO_SENSOR ? angle : y;
+    if (s->sensor == HYSTMPC_CONTINUOUS) e->known->disturbance = y - angle;
+    memcpy(e->model, x, sizeof(real) * (size_t)n->states);
+    for (int k = 0; k < n->angles; k++) {
+        e->angles[k] = angle;
+        e->responsive[k] = R(1.0);
+        e->moves[k] = R(0.0);
+    }
+    if (n->bank) e->known->variance = hystmpc_noise_init(s->noise, e->bank, e->known->disturbance);
+}
+
+/* The whole's angles from those of the model alone and what is learned. */
+static void observer_put_together(const hystmpc_model *m, const hystmpc_extent *n, hystmpc_observed *o) {
+    const hystmpc_learning *l = &o->learning;
+    hystmpc_learning_added(m->learner, l->past, l->filters, o->alone.angles, l->added);
+    for (int k = 0; k < n->angles; k++) {
+        o->now.angles[k] = o->alone.angles[k] + l->added[k];
+        o->now.responsive[k] = o->alone.responsive[k];
+        o->now.moves[k] = o->alone.moves[k];
+    }
+    o->now.known->added = l->added[0];
+    o->now.known->forecast_error = l->filters->forecast_error;
+}
+
+HYSTMPC_LOCAL int hystmpc_observer_init(const hystmpc_sensing *s, const hystmpc_model *m, hystmpc_observed *o,
+                                        const real *x, real y, real u, char *room) {
+    const hystmpc_extent n = hystmpc_extent_of(s, m);
+    real angle = y;
+    if (!is_finite(hystmpc_usable_angle(y))) return HYSTMPC_BAD_ANGLE;
+    if (!is_finite(u)) return HYSTMPC_BAD_COMMAND;
+    if (observer_has_model(s, m)) { /* one sample later, at rest */
+        real *next = hystmpc_observer_work(m, room);
+        if (!hystmpc_next_of_model(m, x, u, next, &angle, room)) return HYSTMPC_NOT_AT_REST;
+        if (!(absolute(y - angle) <= s->rest_tolerance)) return HYSTMPC_NOT_AT_REST;
+        x = next;
+    }
+    observer_start(s, &n, &o->now, x, angle, y, u);
+    if (s->sensor == HYSTMPC_FRAMES) hystmpc_frames_init(o, y);
+    if (observer_learns(s, m)) {
+        observer_start(s, &n, &o->alone, x, angle, y, u);
+        memset(o->learning.filters, 0, sizeof *o->learning.filters);
+        hystmpc_learning_init(m->learner, o->learning.past, o->learning.filters, angle, u, y);
+        observer_put_together(m, &n, o);
+    }
+    return HYSTMPC_STARTED;
+}
+
+/* Estimated variance of the sensor noise: the geometric mean over the filters [deg^2]. */
+static real observer_sensor_variance(const hystmpc_sensing *s, const real *bank, int filters) {
+    const real *w = bank + 2 * filters;
+    real total = R(0.0);
+    for (int i = 0; i < filters; i++) total += s->logs[i] * w[i];
+    return MATH(exp)(total);
+}
+
+/* How far the disturbance of frames is believed:
+ *
+ *     s = sum_j m_j z_j / (sum_j m_j^2 + doubt * sensor^2),   0 <= s <= 1 */
+static real observer_share(const hystmpc_sensing *s, const hystmpc_known *known, const real *bank, int filters) {
+    if (s->sensor != HYSTMPC_FRAMES) return R(1.0);
+    const real noise = observer_sensor_variance(s, bank, filters);
+    return clamp(known->earned[0] / (known->earned[1] + s->doubt * noise), R(0.0), R(1.0));
+}
+
+HYSTMPC_LOCAL void hystmpc_estimate_correct(const hystmpc_sensing *s, const hystmpc_extent *n, hystmpc_estimate *e,
+                                            real y) {
+    const real angle = hystmpc_usable_angle(y), offset = angle - e->angles[0], far = s->outlier;
+    const int filters = n->bank / 3;
+    hystmpc_known *known = e->known;
+    real before = R(0.0), mean;
+    if (!(absolute(offset - known->disturbance) <= far || absolute(angle - known->measured) <= far)) {
+        known->missing = hystmpc_later(known->missing);
+        return;
+    }
+    known->measured = angle;
+    known->missing = 0;
+    if (e->responsive[0] == R(0.0) || !filters) return;
+    if (s->sensor == HYSTMPC_FRAMES)
+        for (int i = 0; i < filters; i++) before += e->bank[i] * e->bank[2 * filters + i];
+    const real variance = hystmpc_noise_correct(s->noise, e->bank, offset, &mean);
+    if (s->sensor == HYSTMPC_FRAMES) {
+        known->earned[0] += before * offset;
+        known->earned[1] += before * before;
+    }
+    const real share = observer_share(s, known, e->bank, filters), off = (R(1.0) - share) * mean;
+    known->disturbance = share * mean;
+    known->variance = variance + off * off;
+}
+
+static void observer_drop_first(real *row, int count, real last) {
+    for (int k = 0; k + 1 < count; k++) row[k] = row[k + 1];
+    row[count - 1] = last;
+}
+
+/* Without a sensor the travels stand still where the model does, and every sample counts as responsive. */
+HYSTMPC_LOCAL void hystmpc_estimate_advance(const hystmpc_sensing *s, const hystmpc_extent *n, hystmpc_estimate *e,
+                                            real u, const real *next, real angle) {
+    hystmpc_known *known = e->known;
+    const real moved = absolute(u - known->command), before = e->angles[n->angles - 1];
+    const int sensed = s->sensor != HYSTMPC_NO_SENSOR;
+    if (next) memcpy(e->model, next, sizeof(real) * (size_t)n->states);
+    else angle = before;
+    const int answers = absolute(angle - before) >= s->dead_band_gain * moved || moved <= s->resolution;
+    known->stalled = next ? 0 : hystmpc_later(known->stalled);
+    known->command = u;
+    observer_drop_first(e->angles, n->angles, angle);
+    if (next || sensed) observer_drop_first(e->moves, n->angles, moved);
+    if (!sensed) return;
+    observer_drop_first(e->responsive, n->angles, answers ? R(1.0) : R(0.0));
+    if (n->bank) known->variance = hystmpc_noise_advance(s->noise, e->bank, e->moves[0], known->disturbance);
+    known->earned[0] *= s->forgets;
+    known->earned[1] *= s->forgets;
+}
+
+/* Model, learned part and disturbance corrected. Where weights change the disturbance takes up the difference, so that
+ * the angle of now has no jump. An angle far from the prediction counts where the device can have gone there. */
+static void observer_correct_learned(const hystmpc_sensing *s, const hystmpc_model *m, const hystmpc_extent *n,
+                                     hystmpc_observed *o, real y) {
+    const hystmpc_learning *l = &o->learning;
+    hystmpc_known *whole = o->now.known, *plain = o->alone.known;
+    const real angle = hystmpc_usable_angle(y), offset = angle - o->now.angles[0], before = l->added[0];
+    const real reach = s->outlier + hystmpc_learning_reach(m->learner, l->past);
+    if (!(absolute(offset - whole->disturbance) <= s->outlier || absolute(angle - whole->measured) <= reach)) {
+        whole->missing = hystmpc_later(whole->missing);
+        return;
+    }
+    hystmpc_learning_correct(m->learner, l->past, l->filters, angle, o->alone.angles[0], plain->disturbance);
+    hystmpc_estimate_correct(s, n, &o->alone, angle);
+    plain->command = whole->command;
+    plain->measured = whole->measured = angle;
+    plain->missing = whole->missing = 0;
+    observer_put_together(m, n, o);
+    const real change = l->added[0] - before;
+    for (int i = 0; i < n->bank / 3; i++) o->now.bank[i] -= change;
+    if (o->alone.responsive[0] == R(0.0) || !n->bank) whole->disturbance -= change;
+    else whole->variance = hystmpc_noise_correct(s->noise, o->now.bank, offset - change, &whole->disturbance);
+}
+
+static void observer_correct_newest(const hystmpc_sensing *s, hystmpc_known *known, real y) {
+    const real angle = hystmpc_usable_angle(y);
+    if (is_finite(angle)) {
+        known->measured = angle;
+        known->missing = 0;
+        known->since = R(0.0);
+    } else if (s->sensor == HYSTMPC_NEWEST) known->missing = hystmpc_later(known->missing);
+}
+
+/* A frame that was taken before the one that is known changes nothing: the order of arrival makes no difference. */
+static int observer_correct_frame(const hystmpc_sensing *s, hystmpc_observed *o, real y, real age) {
+    const real angle = hystmpc_usable_angle(y);
+    if (!(R(0.0) <= age && age <= (real)s->oldest) || !is_finite(angle)) return 0;
+    if (age >= hystmpc_observer_age(o)) return 1;
+    o->now.known->measured = angle;
+    o->now.known->missing = (int)MATH(ceil)(age);
+    o->now.known->since = MATH(ceil)(age) - age;
+    return 1;
+}
+
+HYSTMPC_LOCAL void hystmpc_observer_correct(const hystmpc_sensing *s, const hystmpc_model *m, hystmpc_observed *o,
+                                            real y) {
+    const hystmpc_extent n = hystmpc_extent_of(s, m);
+    hystmpc_estimate *e = &o->now;
+    if (s->sensor == HYSTMPC_FRAMES) hystmpc_frames_correct(s, &n, e, y);
+    else if (s->sensor == HYSTMPC_NO_SENSOR) e->known->measured = e->angles[0];
+    else if (observer_newest(s)) observer_correct_newest(s, e->known, y);
+    else if (observer_learns(s, m)) observer_correct_learned(s, m, &n, o, y);
+    else if (s->sensor != HYSTMPC_OBSERVED) hystmpc_estimate_correct(s, &n, e, y);
+    else {
+        const hystmpc_known before = *e->known;
+        if (s->outside->correct(e->known, e->model, e->angles, y) == 0) return;
+        *e->known = before;
+        e->known->missing = hystmpc_later(before.missing);
+    }
+}
+
+/* What an observer from outside may have written of a state and angles before it failed: saved, brought back. */
+static void observer_save(const hystmpc_extent *n, const hystmpc_estimate *e, real *work) {
+    memcpy(work, e->model, sizeof(real) * (size_t)n->states);
+    memcpy(work + n->states, e->angles, sizeof(real) * (size_t)n->angles);
+}
+
+static void observer_bring_back(const hystmpc_extent *n, hystmpc_estimate *e, const real *work) {
+    memcpy(e->model, work, sizeof(real) * (size_t)n->states);
+    memcpy(e->angles, work + n->states, sizeof(real) * (size_t)n->angles);
+}
+
+HYSTMPC_LOCAL int hystmpc_observer_correct_late(const hystmpc_sensing *s, const hystmpc_model *m, hystmpc_observed *o,
+                                                real y, real age, char *room) {
+    if (s->sensor == HYSTMPC_FRAMES) return hystmpc_frames_correct_late(s, m, o, y, age, room);
+    if (s->sensor == HYSTMPC_NEWEST_FRAME) return observer_correct_frame(s, o, y, age);
+    if (s->sensor != HYSTMPC_OBSERVED) return 0;
+    const hystmpc_extent n = hystmpc_extent_of(s, m);
+    const hystmpc_known before = *o->now.known;
+    real *work = hystmpc_observer_work(m, room);
+    observer_save(&n, &o->now, work);
+    if (s->outside->correct_late(o->now.known, o->now.model, o->now.angles, y, age) == 0) return 1;
+    observer_bring_back(&n, &o->now, work);
+    *o->now.known = before;
+    return 0;
+}
+
+static void observer_advance_outside(const hystmpc_sensing *s, const hystmpc_model *m, const hystmpc_extent *n,
+                                     hystmpc_estimate *e, real u, char *room) {
+    const hystmpc_known before = *e->known;
+    real *work = hystmpc_observer_work(m, room);
+    observer_save(n, e, work);
+    if (s->outside->advance(e->known, e->model, e->angles, u) == 0) return;
+    observer_bring_back(n, e, work);
+    *e->known = before;
+    e->known->command = u;
+    e->known->stalled = hystmpc_later(before.stalled);
+    observer_drop_first(e->angles, n->angles, e->angles[n->angles - 1]);
+}
+
+HYSTMPC_LOCAL void hystmpc_observer_advance(const hystmpc_sensing *s, const hystmpc_model *m, hystmpc_observed *o,
+                                            real u, char *room) {
+    const hystmpc_extent n = hystmpc_extent_of(s, m);
+    const int learns = observer_learns(s, m);
+    hystmpc_estimate *modelled = learns ? &o->alone : &o->now;
+    hystmpc_known *known = o->now.known;
+    if (s->sensor == HYSTMPC_OBSERVED) {
+        observer_advance_outside(s, m, &n, &o->now, u, room);
+        return;
+    }
+    if (!observer_has_model(s, m)) {
+        known->command = u;
+        if (s->sensor == HYSTMPC_NEWEST_FRAME) known->missing = hystmpc_later(known->missing);
+        return;
+    }
+    real *next = hystmpc_observer_work(m, room), angle = R(0.0);
+    modelled->known->command = known->command; /* what the device really holds */
+    const int advanced = hystmpc_next_of_model(m, modelled->model, u, next, &angle, room);
+    if (s->sensor == HYSTMPC_FRAMES) hystmpc_frames_keep(s, &n, o);
+    hystmpc_estimate_advance(s, &n, modelled, u, advanced ? next : NULL, angle);
+    if (!learns) return;
+    hystmpc_learning_advance(m->learner, o->learning.past, u);
+    known->command = u;
+    known->stalled = o->alone.known->stalled;
+    observer_put_together(m, &n, o);
+    if (n.bank) known->variance = hystmpc_noise_advance(s->noise, o->now.bank, o->now.moves[0], known->disturbance);
+}
+
+HYSTMPC_LOCAL void hystmpc_observer_state(const hystmpc_sensing *s, const hystmpc_model *m, const hystmpc_observed *o,
+                                          real *x) {
+    const hystmpc_extent n = hystmpc_extent_of(s, m);
+    const int learns = observer_learns(s, m);
+    memcpy(x, learns ? o->alone.model : o->now.model, sizeof(real) * (size_t)n.states);
+    if (s->sensor == HYSTMPC_OBSERVED || !m || !m->learner) return;
+    hystmpc_learned *part = (hystmpc_learned *)(void *)(x + n.states);
+    if (learns) hystmpc_learning_state(m->learner, o->learning.past, o->learning.filters, part);
+    else memset(part, 0, sizeof *part);
+}
+
+HYSTMPC_LOCAL real hystmpc_observer_age(const hystmpc_observed *o) {
+    return (real)o->now.known->missing - o->now.known->since;
+}
+
+HYSTMPC_LOCAL real hystmpc_observer_sigma(const hystmpc_sensing *s, const hystmpc_observed *o) {
+    const hystmpc_known *known = o->now.known;
+    const int filters = s->noise ? s->noise->sensors * s->noise->drifts * s->noise->motions : 0;
+    if (s->sensor == HYSTMPC_OBSERVED) return known->sigma;
+    return MATH(sqrt)(known->variance) * observer_share(s, known, o->now.bank, filters);
+}
