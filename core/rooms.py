@@ -1,4 +1,4 @@
-"""Rooms for calls of the engine: one for each call at work, since a call may lead to Python and from there to another."""
+"""Rooms for calls of the engine: one for each call at work, which may lead to Python and from there to another."""
 
 from __future__ import annotations
 

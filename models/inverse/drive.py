@@ -8,7 +8,6 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from hystmpc.core.library import engine
 from hystmpc.core.structs import Struct, struct
 from hystmpc.trials.types import Vec
 
@@ -29,11 +28,10 @@ _FREE = 1e9  # bound of moves that have none
 
 
 class DriveFit(NamedTuple):
-    """Inputs (H,) of a drive, their outputs (H,), and the first output sample that the inputs change."""
+    """Inputs (H,) of a drive and their outputs (H,)."""
 
     inputs: Vec
     outputs: Vec
-    first: int
 
 
 @final
@@ -60,12 +58,6 @@ class Drive:
         self.size = chain.state_size
         self.delay_samples = sum(int(o.delay_s / facts.dt_s + _WHOLE) for o in operators if isinstance(o, Delay))
 
-    def held(self, state: Vec, u: float, horizon: int) -> DriveFit:
-        """Outputs (H,) for an input that stays at `u`, and the first sample that another input would change."""
-        plan = np.full(horizon, u)
-        outputs, response = self.predictor.linearise(state, plan)
-        return DriveFit(plan, outputs, first_acting(response))
-
     def fit(self, state: Vec, wanted: Vec, u_last: float, reach: float) -> DriveFit:
         """Inputs whose outputs come closest to `wanted` (H,).
 
@@ -74,8 +66,8 @@ class Drive:
         Exact for linear dynamics, by Gauss-Newton steps for others; each program by an active-set method for bounded
         least squares (Stark and Parker, Computational Statistics 10 (1995)).
         """
-        inputs, outputs, first = self.predictor.run.lead(state, wanted, u_last, min(reach, _FREE), _NUMBERS)
-        return DriveFit(inputs, outputs, first)
+        inputs, outputs, _ = self.predictor.run.lead(state, wanted, u_last, min(reach, _FREE), _NUMBERS)
+        return DriveFit(inputs, outputs)
 
 
 @final
@@ -102,8 +94,3 @@ class DrivenInverse(EngineInverse):
         front, back = (drive and drive.predictor.part for drive in (self.front, self.back))
         kind, predictor = kind_of("DRIVEN"), self.predictor.part
         return struct("hystmpc_inverse", kind=kind, predictor=predictor, inner=self.inner.part, front=front, back=back)
-
-
-def first_acting(response: Vec) -> int:
-    """First sample that an input changes: rows of the response (H, H) before it are zero."""
-    return int(engine().first_acting(response, len(response)))
