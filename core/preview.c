@@ -14,7 +14,8 @@ static long preview_command_bytes(const hystmpc_inverse *v) {
     return ROOM_LINE + (v->kind == HYSTMPC_EXACT ? hystmpc_chain_single_bytes(v->predictor->chain) : 0L);
 }
 
-int hystmpc_inverse_command(const void *inverse, const real *x, real theta, real u_last, real *u, char *room) {
+int hystmpc_inverse_command(const void *inverse, const real *x, int states, real theta, real u_last, real *u,
+                            char *room) {
     const hystmpc_inverse *const v = inverse;
     switch (v->kind) {
     case HYSTMPC_EXACT:
@@ -22,13 +23,14 @@ int hystmpc_inverse_command(const void *inverse, const real *x, real theta, real
                                              (double)v->high, (double)u_last, room_begin(room));
         return 0;
     case HYSTMPC_COMPANION: {
-        const real *const angle = x + v->predictor->first->states;
-        return hystmpc_inverse_command(v->inner, angle + 1, theta + x[v->predictor->states - 1] - *angle, u_last, u,
-                                       room);
+        const hystmpc_predictor *const first = v->predictor->first, *const second = v->predictor->second;
+        const real wanted = theta + x[v->predictor->states - 1] - x[first->states];
+        return hystmpc_inverse_command(v->inner, x + first->states + 1, second->states, wanted, u_last, u, room);
     }
     case HYSTMPC_DRIVEN:
-        return hystmpc_inverse_command(v->inner, x + (v->front ? v->front->states : 0), theta, u_last, u, room);
-    default: return v->outside->command(x, theta, u_last, u);
+        x += v->front ? v->front->states : 0;
+        return hystmpc_inverse_command(v->inner, x, v->predictor->states, theta, u_last, u, room);
+    default: return v->outside->command(x, states, theta, u_last, u);
     }
 }
 
@@ -81,7 +83,7 @@ static int preview_step_by_step(const preview_task *t, real reach, real *plan, r
     copy(t->x, state, t->predictor->states);
     for (int k = 0; k < t->samples; k++) {
         real u = last, theta;
-        int failed = hystmpc_inverse_command(t->inverse, state, t->wanted[k], last, &u, room);
+        int failed = hystmpc_inverse_command(t->inverse, state, t->predictor->states, t->wanted[k], last, &u, room);
         if (failed) return failed;
         u = clamp(is_finite(u) ? u : last, t->low, t->high);
         last = clamp(u, last - reach, last + reach);
