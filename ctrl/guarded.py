@@ -7,13 +7,11 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from threading import local
 from time import perf_counter
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.core.library import HoldsAddresses, engine
 from hystmpc.core.structs import Struct, constants, layout
@@ -24,18 +22,15 @@ from hystmpc.trials.types import Index, Vec
 
 from .answers import SOURCES, status_words
 from .command import EMPTY, Command, CommandLimits, Timing, described, number_of, numbers_of, replace
-from .estimation.observer import ANGLE_BOUND_DEG, Estimate, Observer, Places, usable_angle
+from .estimation.observer import ANGLE_BOUND_DEG, Bytes, Estimate, Observer, Places, read_estimate, usable_angle
 from .law import Law, LawPart
 from .linearised.program import IterativeSolution
 
 _ROUNDING = 1e-6  # of a sample
 _HEAD, _KNOWN, _COMMAND = layout("hystmpc_head"), layout("hystmpc_known"), layout("hystmpc_command")
 _BEHIND_HEAD = -(-ctypes.sizeof(_HEAD) // 8) * 8
-_BEHIND_KNOWN = _BEHIND_HEAD + -(-ctypes.sizeof(_KNOWN) // 8) * 8
 _NOT_AT_REST = constants()["HYSTMPC_NOT_AT_REST"]
 _STOPPED = "after repeated failures"
-
-Bytes = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,15 +75,7 @@ class GuardedState:
     @cached_property
     def estimate(self) -> Estimate:
         """What is known of the device."""
-        places, k = self.places, self.known
-        numbers = self.memory[_BEHIND_KNOWN:].view(np.float64)
-        ends = np.cumsum([0, places.states, *[places.angles] * 3, 3 * places.filters]).tolist()
-        model, angles, responsive, moves, bank = (numbers[a:b] for a, b in pairwise(ends))
-        return Estimate(
-            model, k.command, tuple(angles.tolist()), tuple(bool(one) for one in responsive.tolist()),
-            tuple(moves.tolist()), k.disturbance, k.variance, k.measured, k.missing, k.stalled, k.added,
-            k.forecast_error, bank.reshape(3, -1), k.since,
-        )  # fmt: skip
+        return read_estimate(self.memory[_BEHIND_HEAD:], self.places)
 
     def __getstate__(self) -> Mapping[str, Any]:
         names = ("memory", "places", "law", "cause", "refusal")
