@@ -1,12 +1,12 @@
 /* A learned part along a plan, and its slopes; the basis itself is in the header. */
 #include "basis.h"
 
-enum { MEMORY = HYSTMPC_MEMORY, PLAYS = HYSTMPC_PLAYS, WEIGHTED = HYSTMPC_WEIGHTED, CREEPS = HYSTMPC_CREEPS };
+enum { BASIS_MEMORY = HYSTMPC_MEMORY, BASIS_PLAYS = HYSTMPC_PLAYS, BASIS_WEIGHTED = HYSTMPC_WEIGHTED, BASIS_CREEPS = HYSTMPC_CREEPS };
 
 #if HYSTMPC_SINGLE
-#define EDGE R(1e-6) /* so close to its edge a play counts as driven */
+#define BASIS_EDGE R(1e-6) /* so close to its edge a play counts as driven */
 #else
-#define EDGE R(1e-12)
+#define BASIS_EDGE R(1e-12)
 #endif
 
 /* The command that acts on the basis in sample k of a plan. */
@@ -18,7 +18,7 @@ HYSTMPC_LOCAL void hystmpc_add_learned(const hystmpc_basis *b, const hystmpc_lea
                                        int samples, real *angles) {
     const int delay = hystmpc_delay_of(s);
     real now[HYSTMPC_MEMORY], f[HYSTMPC_FEATURES];
-    for (int i = 0; i < MEMORY; i++) now[i] = s->memory[i];
+    for (int i = 0; i < BASIS_MEMORY; i++) now[i] = s->memory[i];
     for (int k = 0; k < samples; k++) {
         const real before = now[0];
         hystmpc_advance_memory(b, now, 1, acting_command(b, s, commands, k, delay), &s->share);
@@ -34,21 +34,21 @@ HYSTMPC_LOCAL void hystmpc_add_learned(const hystmpc_basis *b, const hystmpc_lea
 static void advance_slopes(const hystmpc_basis *b, real *by, int samples, const real *before, const real *now,
                            int acting, real share) {
     const real v = now[0];
-    real *old = by + MEMORY * samples;
+    real *old = by + BASIS_MEMORY * samples;
     for (int j = 0; j <= acting; j++) {
         old[j] = by[j];
         by[j] *= R(1.0) - share;
     }
     if (acting >= 0) by[acting] = share;
-    for (int i = 0; i < PLAYS; i++) {
+    for (int i = 0; i < BASIS_PLAYS; i++) {
         const real r = hystmpc_radii[i];
-        if (v - r >= before[1 + i] - EDGE || v + r <= before[1 + i] + EDGE) {
+        if (v - r >= before[1 + i] - BASIS_EDGE || v + r <= before[1 + i] + BASIS_EDGE) {
             real *row = by + (1 + i) * samples;
             for (int j = 0; j <= acting; j++) row[j] = by[j];
         }
     }
-    for (int c = 0; c < CREEPS; c++) {
-        real *row = by + (1 + PLAYS + c) * samples;
+    for (int c = 0; c < BASIS_CREEPS; c++) {
+        real *row = by + (1 + BASIS_PLAYS + c) * samples;
         for (int j = 0; j <= acting; j++) row[j] += b->creeps[c] * (by[j] - row[j]);
     }
 }
@@ -56,41 +56,43 @@ static void advance_slopes(const hystmpc_basis *b, real *by, int samples, const 
 /* Derivatives of sum_i w_i f_i by the memory and by the travel one sample ago (MEMORY + 1). */
 static void slopes_by_memory(const hystmpc_basis *b, const real *now, const real *weights, real *out) {
     const real v = now[0];
-    for (int i = 0; i <= MEMORY; i++) out[i] = R(0.0);
+    for (int i = 0; i <= BASIS_MEMORY; i++) out[i] = R(0.0);
     out[0] = weights[1];
-    for (int i = 0; i < PLAYS; i++) out[1 + i] = weights[2 + i];
-    const real *weight = weights + 2 + PLAYS;
+    for (int i = 0; i < BASIS_PLAYS; i++) out[1 + i] = weights[2 + i];
+    const real *weight = weights + 2 + BASIS_PLAYS;
     for (int i = 0; i < HYSTMPC_ZONES; i++, weight++)
         if (v > hystmpc_zones[i]) out[0] += *weight;
-    for (int play = 1 + PLAYS - WEIGHTED; play <= PLAYS; play++, weight++) {
+    for (int play = 1 + BASIS_PLAYS - BASIS_WEIGHTED; play <= BASIS_PLAYS; play++, weight++) {
         out[play] += *weight * v;
         out[0] += *weight * (now[play] - R(2.0) * v);
     }
-    for (int c = 0; c < CREEPS; c++, weight++) {
+    for (int c = 0; c < BASIS_CREEPS; c++, weight++) {
         out[0] += *weight;
-        out[1 + PLAYS + c] -= *weight;
+        out[1 + BASIS_PLAYS + c] -= *weight;
     }
     const real rate = *weight * b->pace * HYSTMPC_RATE_S;
     out[0] += rate;
-    out[MEMORY] -= rate;
+    out[BASIS_MEMORY] -= rate;
 }
 
 HYSTMPC_LOCAL void hystmpc_add_slopes(const hystmpc_basis *b, const hystmpc_learned *s, const real *commands,
                                       int samples, real *jacobian, real *work) {
     real now[HYSTMPC_MEMORY], before[HYSTMPC_MEMORY], slopes[HYSTMPC_MEMORY + 1];
-    real *by = work, *sum = work + (MEMORY + 1) * samples;
+    real *by = work, *sum = work + (BASIS_MEMORY + 1) * samples;
     const int delay = hystmpc_delay_of(s);
-    for (int i = 0; i < MEMORY; i++) now[i] = s->memory[i];
-    for (int i = 0; i < (MEMORY + 1) * samples; i++) by[i] = R(0.0);
+    for (int i = 0; i < BASIS_MEMORY; i++) now[i] = s->memory[i];
+    for (int i = 0; i < (BASIS_MEMORY + 1) * samples; i++) by[i] = R(0.0);
     for (int k = 0; k < samples; k++) {
-        for (int i = 0; i < MEMORY; i++) before[i] = now[i];
+        for (int i = 0; i < BASIS_MEMORY; i++) before[i] = now[i];
         hystmpc_advance_memory(b, now, 1, acting_command(b, s, commands, k, delay), &s->share);
         advance_slopes(b, by, samples, before, now, k - delay, s->share);
         slopes_by_memory(b, now, s->weights, slopes);
         real *row = jacobian + k * samples;
         for (int j = 0; j <= k; j++) sum[j] = R(0.0);
-        for (int i = 0; i <= MEMORY; i++)
+        for (int i = 0; i <= BASIS_MEMORY; i++)
             for (int j = 0; j <= k; j++) sum[j] += slopes[i] * by[i * samples + j];
         for (int j = 0; j <= k; j++) row[j] = (R(1.0) + s->weights[0]) * row[j] + sum[j] / b->span;
     }
 }
+
+#undef BASIS_EDGE

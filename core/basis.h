@@ -10,11 +10,8 @@
 #ifndef HYSTMPC_BASIS_H
 #define HYSTMPC_BASIS_H
 
+#include "hystmpc_core.h"
 #include "real.h"
-
-#ifndef HYSTMPC_LOCAL
-#define HYSTMPC_LOCAL /* `static` in an exported controller, where all files are one */
-#endif
 
 #ifndef HYSTMPC_H /* the header of an exported controller has both */
 typedef real hystmpc_real;

@@ -1,8 +1,8 @@
 /* What Python calls: arrays unpacked, then the functions that an exported controller has too. */
 #include "calls.h"
 
-static hystmpc_noise unpacked(const double *numbers) {
-    const double *table = numbers + 6;
+static hystmpc_noise noise_of_numbers(const real *numbers) {
+    const real *table = numbers + 6;
     hystmpc_noise n;
     n.sensors = (int)numbers[0];
     n.drifts = (int)numbers[1];
@@ -20,55 +20,55 @@ static hystmpc_noise unpacked(const double *numbers) {
     return n;
 }
 
-double hystmpc_bank_init(const void *noise, double *bank, double disturbance) {
-    const hystmpc_noise n = unpacked(noise);
+real hystmpc_bank_init(const void *noise, real *bank, real disturbance) {
+    const hystmpc_noise n = noise_of_numbers(noise);
     return hystmpc_noise_init(&n, bank, disturbance);
 }
 
-double hystmpc_bank_correct(const void *noise, double *bank, double offset, double *mean) {
-    const hystmpc_noise n = unpacked(noise);
+real hystmpc_bank_correct(const void *noise, real *bank, real offset, real *mean) {
+    const hystmpc_noise n = noise_of_numbers(noise);
     return hystmpc_noise_correct(&n, bank, offset, mean);
 }
 
-double hystmpc_bank_advance(const void *noise, double *bank, double travel, double mean) {
-    const hystmpc_noise n = unpacked(noise);
+real hystmpc_bank_advance(const void *noise, real *bank, real travel, real mean) {
+    const hystmpc_noise n = noise_of_numbers(noise);
     return hystmpc_noise_advance(&n, bank, travel, mean);
 }
 
-void hystmpc_filters_init(const hystmpc_learner *n, double *past, double *filters, double angle, double u, double y) {
+void hystmpc_filters_init(const hystmpc_learner *n, real *past, real *filters, real angle, real u, real y) {
     hystmpc_learning_init(n, past, (hystmpc_filters *)(void *)filters, angle, u, y);
 }
 
-void hystmpc_filters_advance(const hystmpc_learner *n, double *past, double u) { hystmpc_learning_advance(n, past, u); }
+void hystmpc_filters_advance(const hystmpc_learner *n, real *past, real u) { hystmpc_learning_advance(n, past, u); }
 
-void hystmpc_filters_correct(const hystmpc_learner *n, const double *past, double *filters, double y, double angle,
-                             double disturbance) {
+void hystmpc_filters_correct(const hystmpc_learner *n, const real *past, real *filters, real y, real angle,
+                             real disturbance) {
     hystmpc_learning_correct(n, past, (hystmpc_filters *)(void *)filters, y, angle, disturbance);
 }
 
-void hystmpc_filters_state(const hystmpc_learner *n, const double *past, const double *filters, double *part) {
+void hystmpc_filters_state(const hystmpc_learner *n, const real *past, const real *filters, real *part) {
     const hystmpc_filters *l = (const hystmpc_filters *)(const void *)filters;
-    double *angles = part + sizeof(hystmpc_learned) / sizeof(double);
+    real *angles = part + sizeof(hystmpc_learned) / sizeof(real);
     hystmpc_learning_added(n, past, l, angles, angles);
     hystmpc_learning_state(n, past, l, (hystmpc_learned *)(void *)part);
 }
 
-void hystmpc_part_run(const hystmpc_basis *b, const double *part, const double *plans, int count, int samples,
-                      double *angles) {
+void hystmpc_part_run(const hystmpc_basis *b, const real *part, const real *plans, int count, int samples,
+                      real *angles) {
     const hystmpc_learned *s = (const hystmpc_learned *)(const void *)part;
     for (int n = 0; n < count; n++, plans += samples, angles += samples)
         hystmpc_add_learned(b, s, plans, samples, angles);
 }
 
-void hystmpc_part_linearise(const hystmpc_basis *b, const double *part, const double *plan, int samples,
-                            double *block) {
+void hystmpc_part_linearise(const hystmpc_basis *b, const real *part, const real *plan, int samples,
+                            real *block) {
     const hystmpc_learned *s = (const hystmpc_learned *)(const void *)part;
-    double *jacobian = block + samples;
+    real *jacobian = block + samples;
     hystmpc_add_learned(b, s, plan, samples, block);
     hystmpc_add_slopes(b, s, plan, samples, jacobian, jacobian + samples * samples);
 }
 
-double hystmpc_part_advance(const hystmpc_basis *b, double *part, double u, double angle) {
+real hystmpc_part_advance(const hystmpc_basis *b, real *part, real u, real angle) {
     hystmpc_learned *s = (hystmpc_learned *)(void *)part;
     hystmpc_add_learned(b, s, &u, 1, &angle);
     hystmpc_learned_advance(b, s, u);

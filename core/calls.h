@@ -9,29 +9,29 @@
 
 /* A bank of noise filters, see estimator.h. `noise`: sensors, drifts, motions, switching, most_gain, limit, then the
  * tables of `hystmpc_noise` in their order. */
-HYSTMPC_API double hystmpc_bank_init(const void *noise, double *bank, double disturbance);
-HYSTMPC_API double hystmpc_bank_correct(const void *noise, double *bank, double offset, double *mean);
-HYSTMPC_API double hystmpc_bank_advance(const void *noise, double *bank, double travel, double mean);
+HYSTMPC_API real hystmpc_bank_init(const void *noise, real *bank, real disturbance);
+HYSTMPC_API real hystmpc_bank_correct(const void *noise, real *bank, real offset, real *mean);
+HYSTMPC_API real hystmpc_bank_advance(const void *noise, real *bank, real travel, real mean);
 
 /* Filters that learn, see learning.h; `filters` is a `hystmpc_filters`, `part` a `hystmpc_learned`. */
-HYSTMPC_API void hystmpc_filters_init(const hystmpc_learner *n, double *past, double *filters, double angle, double u,
-                                      double y);
-HYSTMPC_API void hystmpc_filters_advance(const hystmpc_learner *n, double *past, double u);
-HYSTMPC_API void hystmpc_filters_correct(const hystmpc_learner *n, const double *past, double *filters, double y,
-                                         double angle, double disturbance);
+HYSTMPC_API void hystmpc_filters_init(const hystmpc_learner *n, real *past, real *filters, real angle, real u,
+                                      real y);
+HYSTMPC_API void hystmpc_filters_advance(const hystmpc_learner *n, real *past, real u);
+HYSTMPC_API void hystmpc_filters_correct(const hystmpc_learner *n, const real *past, real *filters, real y,
+                                         real angle, real disturbance);
 /* `part`, and behind it the model's angles (delay + 1) <- what is added to each. */
-HYSTMPC_API void hystmpc_filters_state(const hystmpc_learner *n, const double *past, const double *filters,
-                                       double *part);
+HYSTMPC_API void hystmpc_filters_state(const hystmpc_learner *n, const real *past, const real *filters,
+                                       real *part);
 
 /* A learned part along plans (plans, samples): angles (plans, samples) of the model <- those of the whole. */
-HYSTMPC_API void hystmpc_part_run(const hystmpc_basis *b, const double *part, const double *plans, int count,
-                                  int samples, double *angles);
+HYSTMPC_API void hystmpc_part_run(const hystmpc_basis *b, const real *part, const real *plans, int count,
+                                  int samples, real *angles);
 /* The same along one plan. `block`: rows of so many samples, the angles, the jacobian (samples), HYSTMPC_MEMORY + 2
  * for work. */
-HYSTMPC_API void hystmpc_part_linearise(const hystmpc_basis *b, const double *part, const double *plan, int samples,
-                                        double *block);
+HYSTMPC_API void hystmpc_part_linearise(const hystmpc_basis *b, const real *part, const real *plan, int samples,
+                                        real *block);
 /* One sample later; answers the whole's angle. */
-HYSTMPC_API double hystmpc_part_advance(const hystmpc_basis *b, double *part, double u, double angle);
+HYSTMPC_API real hystmpc_part_advance(const hystmpc_basis *b, real *part, real u, real angle);
 
 /* Bytes of `hystmpc_basis`, `hystmpc_learner`, `hystmpc_filters` and `hystmpc_learned`: Python lays out the same. */
 HYSTMPC_API void hystmpc_learning_bytes(int *bytes);

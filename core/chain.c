@@ -5,13 +5,13 @@
 #include <string.h>
 
 /* The next bytes of the memory of a call; without memory they are counted alone. */
-static void *take(char *memory, size_t *used, size_t bytes) {
+static void *chain_take(char *memory, size_t *used, size_t bytes) {
     void *given = memory ? memory + *used : NULL;
     *used += (bytes + 63) / 64 * 64;
     return given;
 }
 
-long chain_lay_out(chain_run *r, const int *chain, int abreast, int directions, char *memory) {
+long hystmpc_chain_lay_out(chain_run *r, const int *chain, int abreast, int directions, char *memory) {
     char *const begin = memory ? memory + (64 - (size_t)memory % 64) % 64 : NULL;
     size_t used = 0;
     const int *place = chain + CHAIN_HEAD + chain[6];
@@ -19,30 +19,30 @@ long chain_lay_out(chain_run *r, const int *chain, int abreast, int directions, 
     int most = 0;
     r->stages = chain[0], r->states = chain[1], r->signals = chain[4], r->inputs = chain[5], r->outputs = chain[6];
     r->shown = chain + CHAIN_HEAD, r->abreast = abreast, r->directions = directions;
-    r->stage = take(begin, &used, (size_t)r->stages * sizeof(chain_stage));
-    for (int k = 0; k < r->stages; k++, place += STAGE) {
+    r->stage = chain_take(begin, &used, (size_t)r->stages * sizeof(chain_stage));
+    for (int k = 0; k < r->stages; k++, place += CHAIN_STAGE) {
         chain_stage one, *s = memory ? r->stage + k : &one;
-        program_read(chain + place[0], &s->p);
+        hystmpc_code_read(chain + place[0], &s->p);
         s->place = place, s->wires = chain + place[8];
-        s->row = take(begin, &used, (size_t)s->p.rows * sizeof(real *));
+        s->row = chain_take(begin, &used, (size_t)s->p.rows * sizeof(real *));
         const int with_room = s->p.rows - 2 * s->p.states - s->p.inputs - s->p.outputs;
-        s->room = take(begin, &used, (size_t)with_room * STRIDE * sizeof(real));
-        s->state = take(begin, &used, (size_t)s->p.states * (STRIDE + g) * sizeof(real));
+        s->room = chain_take(begin, &used, (size_t)with_room * CHAIN_STRIDE * sizeof(real));
+        s->state = chain_take(begin, &used, (size_t)s->p.states * (CHAIN_STRIDE + g) * sizeof(real));
         if (s->p.states > most) most = s->p.states;
     }
-    r->signal = take(begin, &used, (size_t)r->signals * STRIDE * sizeof(real));
-    r->by = take(begin, &used, (size_t)r->signals * d * STRIDE * sizeof(real));
-    r->moving = take(begin, &used, (size_t)r->states * d * g * sizeof(real));
-    r->history = take(begin, &used, (size_t)most * (STRIDE + g) * sizeof(real));
-    r->begins = take(begin, &used, (size_t)r->signals * d * sizeof(int));
-    r->moves = take(begin, &used, (size_t)r->states * d * sizeof(int));
+    r->signal = chain_take(begin, &used, (size_t)r->signals * CHAIN_STRIDE * sizeof(real));
+    r->by = chain_take(begin, &used, (size_t)r->signals * d * CHAIN_STRIDE * sizeof(real));
+    r->moving = chain_take(begin, &used, (size_t)r->states * d * g * sizeof(real));
+    r->history = chain_take(begin, &used, (size_t)most * (CHAIN_STRIDE + g) * sizeof(real));
+    r->begins = chain_take(begin, &used, (size_t)r->signals * d * sizeof(int));
+    r->moves = chain_take(begin, &used, (size_t)r->states * d * sizeof(int));
     return (long)used + 128;
 }
 
-int chain_abreast(int rows) {
-    int best = 4, idle = LANES;
+int hystmpc_chain_abreast(int rows) {
+    int best = 4, idle = HYSTMPC_BLOCK;
     if (rows < 2) return 1;
-    for (int g = 4; g <= MOST; g += 4) {
+    for (int g = 4; g <= CHAIN_MOST; g += 4) {
         const int more = (g - rows % g) % g;
         if (more <= idle) best = g, idle = more;
     }
@@ -51,29 +51,29 @@ int chain_abreast(int rows) {
 
 long hystmpc_chain_bytes(const int *chain, int rows, int directions) {
     chain_run r;
-    return chain_lay_out(&r, chain, chain_abreast(rows), directions, NULL);
+    return hystmpc_chain_lay_out(&r, chain, hystmpc_chain_abreast(rows), directions, NULL);
 }
 
-void hystmpc_chain_prepare(const int *chain, const real *constants, const real *parameters, int rows, double dt,
+void hystmpc_chain_prepare(const int *chain, const real *constants, const real *parameters, int rows, real dt,
                            real *kept, real *room) {
     const int *place = chain + CHAIN_HEAD + chain[6];
-    for (int k = 0; k < chain[0]; k++, place += STAGE) {
-        hystmpc_program p;
-        program_read(chain + place[0], &p);
+    for (int k = 0; k < chain[0]; k++, place += CHAIN_STAGE) {
+        hystmpc_code p;
+        hystmpc_code_read(chain + place[0], &p);
         for (int n = 0; n < rows; n++)
-            program_prepare(&p, constants + place[5], place[6], parameters + place[3] * rows + n, rows, (real)dt,
+            hystmpc_code_prepare(&p, constants + place[5], place[6], parameters + place[3] * rows + n, rows, (real)dt,
                             kept + place[4] * rows + n, rows, room);
     }
 }
 
-static int whole_lanes(int lanes) { return (lanes + 3) / 4 * 4; }
+static int chain_whole_lanes(int lanes) { return (lanes + 3) / 4 * 4; }
 
-void chain_bind(const chain_run *r, const real *kept, int kept_rows, int n0, int count, int samples) {
-    const int g = r->abreast, lanes = samples < LANES / g ? whole_lanes(samples * g) : LANES;
+void hystmpc_chain_bind(const chain_run *r, const real *kept, int kept_rows, int n0, int count, int samples) {
+    const int g = r->abreast, lanes = samples < HYSTMPC_BLOCK / g ? chain_whole_lanes(samples * g) : HYSTMPC_BLOCK;
     for (chain_stage *s = r->stage; s < r->stage + r->stages; s++) {
-        const hystmpc_program *p = &s->p;
+        const hystmpc_code *p = &s->p;
         real *room = s->room, **row = s->row;
-        for (int k = 0; k < p->kept; k++, room += STRIDE) {
+        for (int k = 0; k < p->kept; k++, room += CHAIN_STRIDE) {
             const real *value = kept + (s->place[4] + k) * kept_rows;
             *row++ = room;
             if (kept_rows > 1)
@@ -82,70 +82,70 @@ void chain_bind(const chain_run *r, const real *kept, int kept_rows, int n0, int
                 for (int l = 0; l < lanes; l++) room[l] = value[0];
         }
         for (int next = 0; next < 2; next++)
-            for (int i = 0; i < p->states; i++) *row++ = s->state + i * (STRIDE + g) + next * g;
-        for (int j = 0; j < p->inputs + p->outputs; j++) *row++ = r->signal + s->wires[j] * STRIDE;
-        for (; row < s->row + p->rows; room += STRIDE) *row++ = room;
+            for (int i = 0; i < p->states; i++) *row++ = s->state + i * (CHAIN_STRIDE + g) + next * g;
+        for (int j = 0; j < p->inputs + p->outputs; j++) *row++ = r->signal + s->wires[j] * CHAIN_STRIDE;
+        for (; row < s->row + p->rows; room += CHAIN_STRIDE) *row++ = room;
     }
 }
 
-void chain_run_stage(const chain_stage *s, int g, int samples, int slopes) {
-    const hystmpc_program *p = &s->p;
-    const int lanes = whole_lanes(samples * g);
-    program_lanes(p->code[AHEAD], p->length[AHEAD], s->row, 0, lanes);
-    if (p->length[THROUGH] && g == 1) program_samples(p->code[THROUGH], p->length[THROUGH], s->row, 0, samples);
-    else if (p->length[THROUGH])
-        for (int t = 0; t < samples; t++) program_lanes(p->code[THROUGH], p->length[THROUGH], s->row, t * g, g);
-    program_lanes(p->code[BEHIND], p->length[BEHIND], s->row, 0, lanes);
-    if (slopes) program_lanes(p->code[SLOPES], p->length[SLOPES], s->row, 0, lanes);
+void hystmpc_chain_run_stage(const chain_stage *s, int g, int samples, int slopes) {
+    const hystmpc_code *p = &s->p;
+    const int lanes = chain_whole_lanes(samples * g);
+    hystmpc_code_lanes(p->code[PHASE_AHEAD], p->length[PHASE_AHEAD], s->row, 0, lanes);
+    if (p->length[PHASE_THROUGH] && g == 1) hystmpc_code_samples(p->code[PHASE_THROUGH], p->length[PHASE_THROUGH], s->row, 0, samples);
+    else if (p->length[PHASE_THROUGH])
+        for (int t = 0; t < samples; t++) hystmpc_code_lanes(p->code[PHASE_THROUGH], p->length[PHASE_THROUGH], s->row, t * g, g);
+    hystmpc_code_lanes(p->code[PHASE_BEHIND], p->length[PHASE_BEHIND], s->row, 0, lanes);
+    if (slopes) hystmpc_code_lanes(p->code[PHASE_SLOPES], p->length[PHASE_SLOPES], s->row, 0, lanes);
 }
 
-void chain_go_on(const chain_stage *s, int g, int samples) {
+void hystmpc_chain_go_on(const chain_stage *s, int g, int samples) {
     for (int i = 0; i < s->p.states; i++) {
-        real *x = s->state + i * (STRIDE + g);
+        real *x = s->state + i * (CHAIN_STRIDE + g);
         for (int n = 0; n < g; n++) x[n] = x[samples * g + n];
     }
 }
 
 /* Rows n0 ... n0 + count - 1 of hystmpc_chain_simulate. */
-static void simulate_rows(const chain_run *r, int n0, int count, int samples, const real *u, const int *us, real *x,
+static void chain_simulate_rows(const chain_run *r, int n0, int count, int samples, const real *u, const int *us, real *x,
                           const int *xs, int moves, real *y, const int *ys) {
-    const int g = r->abreast, block = LANES / g;
+    const int g = r->abreast, block = HYSTMPC_BLOCK / g;
     for (const chain_stage *s = r->stage; s < r->stage + r->stages; s++)
         for (int i = 0; i < s->p.states; i++)
             for (int n = 0; n < g; n++)
-                s->state[i * (STRIDE + g) + n] = x[(s->place[2] + i) * xs[0] + (n0 + smaller(n, count - 1)) * xs[1]];
+                s->state[i * (CHAIN_STRIDE + g) + n] = x[(s->place[2] + i) * xs[0] + (n0 + smaller(n, count - 1)) * xs[1]];
     for (int t0 = 0; t0 < samples; t0 += block) {
         const int now = smaller(block, samples - t0);
         for (int j = 0; j < r->inputs; j++)
             for (int t = 0; t < now; t++)
                 for (int n = 0; n < g; n++)
-                    r->signal[j * STRIDE + t * g + n] =
+                    r->signal[j * CHAIN_STRIDE + t * g + n] =
                         u[j * us[0] + (t0 + t) * us[1] + (n0 + smaller(n, count - 1)) * us[2]];
         for (const chain_stage *s = r->stage; s < r->stage + r->stages; s++) {
-            chain_run_stage(s, g, now, 0);
-            chain_go_on(s, g, now);
+            hystmpc_chain_run_stage(s, g, now, 0);
+            hystmpc_chain_go_on(s, g, now);
         }
         for (int j = 0; j < r->outputs; j++)
             for (int t = 0; t < now; t++)
                 for (int n = 0; n < count; n++)
-                    y[j * ys[0] + (t0 + t) * ys[1] + (n0 + n) * ys[2]] = r->signal[r->shown[j] * STRIDE + t * g + n];
+                    y[j * ys[0] + (t0 + t) * ys[1] + (n0 + n) * ys[2]] = r->signal[r->shown[j] * CHAIN_STRIDE + t * g + n];
     }
     if (!moves) return;
     for (const chain_stage *s = r->stage; s < r->stage + r->stages; s++)
         for (int i = 0; i < s->p.states; i++)
             for (int n = 0; n < count; n++)
-                x[(s->place[2] + i) * xs[0] + (n0 + n) * xs[1]] = s->state[i * (STRIDE + g) + n];
+                x[(s->place[2] + i) * xs[0] + (n0 + n) * xs[1]] = s->state[i * (CHAIN_STRIDE + g) + n];
 }
 
 void hystmpc_chain_simulate(const int *chain, const real *kept, int kept_rows, int rows, int samples, const real *u,
                             const int *u_stride, real *x, const int *x_stride, int moves, real *y, const int *y_stride,
                             char *memory) {
     chain_run r;
-    chain_lay_out(&r, chain, chain_abreast(rows), 0, memory);
+    hystmpc_chain_lay_out(&r, chain, hystmpc_chain_abreast(rows), 0, memory);
     for (int n0 = 0; n0 < rows; n0 += r.abreast) {
         const int count = smaller(r.abreast, rows - n0);
-        if (n0 == 0 || kept_rows > 1) chain_bind(&r, kept, kept_rows, n0, count, samples);
-        simulate_rows(&r, n0, count, samples, u, u_stride, x, x_stride, moves, y, y_stride);
+        if (n0 == 0 || kept_rows > 1) hystmpc_chain_bind(&r, kept, kept_rows, n0, count, samples);
+        chain_simulate_rows(&r, n0, count, samples, u, u_stride, x, x_stride, moves, y, y_stride);
     }
 }
 

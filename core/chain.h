@@ -19,7 +19,7 @@
 
 /* kept (K, rows) by parameters (P, rows), the same sample time dt [s] in all rows; room for `registers` numbers. */
 HYSTMPC_API void hystmpc_chain_prepare(const int *chain, const real *constants, const real *parameters, int rows,
-                                       double dt, real *kept, real *room);
+                                       real dt, real *kept, real *room);
 
 /* Bytes of memory for the functions below; directions: 0 where nothing is differentiated. */
 HYSTMPC_API long hystmpc_chain_bytes(const int *chain, int rows, int directions);
@@ -62,12 +62,12 @@ HYSTMPC_API int hystmpc_chain_rest_room(const int *chain, int stage);
 
 /* One sample of a chain with one input and one output: the angle; x (S) moves on. Memory for this and what follows:
  * hystmpc_chain_single_bytes. */
-HYSTMPC_API double hystmpc_chain_step(const int *chain, const real *kept, real *x, double u, char *memory);
+HYSTMPC_API real hystmpc_chain_step(const int *chain, const real *kept, real *x, real u, char *memory);
 HYSTMPC_API long hystmpc_chain_single_bytes(const int *chain);
 
 /* The command in [low, high] that brings the next angle to `wanted`, nearest to `last` on a flat branch; the angle does
  * not fall with the command. Newton's method on the exact derivative inside a shrinking bracket. */
-HYSTMPC_API double hystmpc_chain_command_for(const int *chain, const real *kept, const real *x, double wanted, double low,
-                                             double high, double last, char *memory);
+HYSTMPC_API real hystmpc_chain_command_for(const int *chain, const real *kept, const real *x, real wanted, real low,
+                                             real high, real last, char *memory);
 
 #endif

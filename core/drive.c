@@ -9,8 +9,8 @@ long hystmpc_lead_drive_bytes(const int *chain, int samples) {
     return hystmpc_chain_linearise_bytes(chain, samples) + numbers * (long)sizeof(real) + 64;
 }
 
-int hystmpc_lead_drive(const int *chain, const real *kept, const real *x, const real *wanted, int samples, double last,
-                       double reach, const real *numbers, real *inputs, real *outputs, char *memory) {
+int hystmpc_lead_drive(const int *chain, const real *kept, const real *x, const real *wanted, int samples, real last,
+                       real reach, const real *numbers, real *inputs, real *outputs, char *memory) {
     char *const behind = memory + hystmpc_chain_linearise_bytes(chain, samples);
     real *const response = (real *)(behind + (8 - (size_t)behind % 8) % 8);
     real *const by_move = response + samples * samples, *const moves = by_move + samples * samples;

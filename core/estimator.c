@@ -8,16 +8,16 @@
  * p is Student's density with 7 degrees of freedom: one outlier says little. */
 #include "estimator.h"
 
-#define BY_FREEDOM R(0.2)   /* 1 / (7 - 2) */
-#define SENSOR_SHARE R(0.2) /* of the changes of the model's error are changes of the sensor too */
+#define BANK_BY_FREEDOM R(0.2)   /* 1 / (7 - 2) */
+#define BANK_SENSOR_SHARE R(0.2) /* of the changes of the model's error are changes of the sensor too */
 #if HYSTMPC_SINGLE
-#define LEAST_WEIGHT R(1e-30)
+#define BANK_LEAST_WEIGHT R(1e-30)
 #else
-#define LEAST_WEIGHT R(1e-300)
+#define BANK_LEAST_WEIGHT R(1e-300)
 #endif
 
 /* total = sum of a term by i in eight parts, every eighth term in one: the same order for every width of vectors. */
-#define SUM_IN_PARTS(total, count, term)                                      \
+#define BANK_SUM(total, count, term)                                      \
     {                                                                         \
         real part[8] = {R(0.0)};                                              \
         const int whole = (count) - (count) % 8;                              \
@@ -28,31 +28,31 @@
         for (int i = whole; i < (count); i++) total += (term);                \
     }
 
-static int model_count(const hystmpc_noise *n) { return n->drifts * n->motions; }
+static int bank_models(const hystmpc_noise *n) { return n->drifts * n->motions; }
 
 /* Variance of the mixture of all filters about its mean. */
 static real mixed_variance(const real *bank, int count, real mean) {
     const real *d = bank, *p = bank + count, *w = p + count;
     real total;
-    SUM_IN_PARTS(total, count, w[i] * (p[i] + (d[i] - mean) * (d[i] - mean)))
+    BANK_SUM(total, count, w[i] * (p[i] + (d[i] - mean) * (d[i] - mean)))
     return total;
 }
 
 static void prior_weights(const hystmpc_noise *n, real *w) {
-    const int models = model_count(n);
+    const int models = bank_models(n);
     for (int j = 0; j < n->sensors; j++)
         for (int i = 0; i < models; i++) w[j * models + i] = n->by_sensor[j] * n->by_model[i];
 }
 
 HYSTMPC_LOCAL real hystmpc_noise_init(const hystmpc_noise *n, real *bank, real disturbance) {
-    const int models = model_count(n), count = n->sensors * models;
+    const int models = bank_models(n), count = n->sensors * models;
     real *d = bank, *p = bank + count, *w = p + count, total;
     prior_weights(n, w);
     for (int i = 0; i < count; i++) {
         d[i] = disturbance;
         p[i] = n->first_variances[i % models];
     }
-    SUM_IN_PARTS(total, count, w[i] * p[i])
+    BANK_SUM(total, count, w[i] * p[i])
     return total;
 }
 
@@ -63,7 +63,7 @@ static void correct_filters(const hystmpc_noise *n, real *restrict d, real *rest
     for (int i = 0; i < count; i++) {
         const real before = p[i], spread = before + noise, error = offset - d[i];
         const real by_spread = R(1.0) / spread;
-        real odd = R(1.0) + error * error * by_spread * BY_FREEDOM;
+        real odd = R(1.0) + error * error * by_spread * BANK_BY_FREEDOM;
         odd *= odd;
         const real gain = least(before * by_spread, most_gain), rest = R(1.0) - gain;
         d[i] = clamp(d[i] + gain * error, -limit, limit);
@@ -75,29 +75,29 @@ static void correct_filters(const hystmpc_noise *n, real *restrict d, real *rest
 /* After the filters all weights are mixed with their prior, since how wrong the model is may change (a jump Markov
  * model: Blom and Bar-Shalom, IEEE Transactions on Automatic Control 33, 1988, without their mixing of the filters). */
 HYSTMPC_LOCAL real hystmpc_noise_correct(const hystmpc_noise *n, real *bank, real offset, real *mean) {
-    const int models = model_count(n), count = n->sensors * models;
+    const int models = bank_models(n), count = n->sensors * models;
     real *d = bank, *p = bank + count, *w = p + count, total, off;
     for (int j = 0, at = 0; j < n->sensors; j++, at += models)
         correct_filters(n, d + at, p + at, w + at, models, n->sensor_variances[j], offset);
-    SUM_IN_PARTS(total, count, w[i])
-    if (!(total > LEAST_WEIGHT)) { /* none has foretold it at all: as before anything was seen */
+    BANK_SUM(total, count, w[i])
+    if (!(total > BANK_LEAST_WEIGHT)) { /* none has foretold it at all: as before anything was seen */
         prior_weights(n, w);
-        SUM_IN_PARTS(total, count, w[i])
+        BANK_SUM(total, count, w[i])
     }
     const real kept = (R(1.0) - n->switching) / total;
     for (int j = 0; j < n->sensors; j++) {
         real *own = w + j * models, share;
-        SUM_IN_PARTS(share, models, own[i])
-        share = n->switching * ((R(1.0) - SENSOR_SHARE) * share / total + SENSOR_SHARE * n->by_sensor[j]);
+        BANK_SUM(share, models, own[i])
+        share = n->switching * ((R(1.0) - BANK_SENSOR_SHARE) * share / total + BANK_SENSOR_SHARE * n->by_sensor[j]);
         for (int i = 0; i < models; i++) own[i] = kept * own[i] + share * n->by_model[i];
     }
-    SUM_IN_PARTS(off, count, w[i] * (d[i] - d[0]))
+    BANK_SUM(off, count, w[i] * (d[i] - d[0]))
     *mean = d[0] + off;
     return mixed_variance(bank, count, *mean);
 }
 
 HYSTMPC_LOCAL real hystmpc_noise_advance(const hystmpc_noise *n, real *bank, real travel, real mean) {
-    const int count = n->sensors * model_count(n);
+    const int count = n->sensors * bank_models(n);
     for (int j = 0; j < n->sensors * n->drifts; j++) {
         const int at = j % n->drifts;
         const real drift = n->drift_variances[at], *most_variance = n->most_variances + at * n->motions;
@@ -107,3 +107,8 @@ HYSTMPC_LOCAL real hystmpc_noise_advance(const hystmpc_noise *n, real *bank, rea
     }
     return mixed_variance(bank, count, mean);
 }
+
+#undef BANK_BY_FREEDOM
+#undef BANK_SENSOR_SHARE
+#undef BANK_LEAST_WEIGHT
+#undef BANK_SUM

@@ -2,11 +2,8 @@
 #ifndef HYSTMPC_ESTIMATOR_H
 #define HYSTMPC_ESTIMATOR_H
 
+#include "hystmpc_core.h"
 #include "real.h"
-
-#ifndef HYSTMPC_LOCAL
-#define HYSTMPC_LOCAL /* `static` in an exported controller, where all files are one */
-#endif
 
 /* Grid of M = sensors x drifts x motions filters, the motions in the innermost place, with variances in deg^2. */
 typedef struct {

@@ -12,7 +12,7 @@
  * angle and what it is off the network by then. plans (2, H): row 0 within the box alone, row 1 also moves by no more
  * than `reach` in a sample. The inverse searches between inverted[0] and inverted[1]. memory: hystmpc_follow_bytes. */
 HYSTMPC_API void hystmpc_follow(const int *chain, const real *kept, const hystmpc_network *network, const real *x,
-                                const real *wanted, int samples, double last, const real *bounds, const real *inverted,
+                                const real *wanted, int samples, real last, const real *bounds, const real *inverted,
                                 real *plans, char *memory);
 HYSTMPC_API long hystmpc_follow_bytes(const int *chain, const hystmpc_network *network);
 
@@ -22,7 +22,7 @@ HYSTMPC_API long hystmpc_follow_bytes(const int *chain, const hystmpc_network *n
  *
  * numbers: eps; linearisations; share of the outputs' change that the linearisation may miss. */
 HYSTMPC_API int hystmpc_lead_drive(const int *chain, const real *kept, const real *x, const real *wanted, int samples,
-                                   double last, double reach, const real *numbers, real *inputs, real *outputs,
+                                   real last, real reach, const real *numbers, real *inputs, real *outputs,
                                    char *memory);
 HYSTMPC_API long hystmpc_lead_drive_bytes(const int *chain, int samples);
 

@@ -6,11 +6,19 @@
 #error "hystmpc: compiled for finite numbers only, which voids every check for not-a-number: leave out -ffast-math"
 #endif
 
-/* Functions that Python calls; library.py reads their prototypes in the headers. */
+/* Functions that Python calls; library.py reads their prototypes in the headers. An exported controller, where all files
+ * are one, makes these and all others `static`. */
+#ifndef HYSTMPC_API
 #ifdef _WIN32
 #define HYSTMPC_API __declspec(dllexport)
 #else
 #define HYSTMPC_API __attribute__((visibility("default")))
+#endif
+#endif
+
+/* Functions that other C files call. */
+#ifndef HYSTMPC_LOCAL
+#define HYSTMPC_LOCAL
 #endif
 
 /* State of the C files that the library was compiled from, see build.py. */

@@ -6,7 +6,7 @@
 
 /* One stage of a chain with the registers of its step. */
 typedef struct {
-    hystmpc_program p;
+    hystmpc_code p;
     const int *place;
     real *registers, *state;
 } single_stage;
@@ -16,18 +16,18 @@ typedef struct {
     int stages;
     single_stage *stage;
     real *last; /* room behind the registers: two states of the chain */
-} single;
+} single_chain;
 
 /* Lay out the memory of a call and put in the kept values; answers the bytes that it takes. Null for memory: the bytes
  * alone. */
-static long lay_out(single *c, const int *chain, const real *kept, char *memory) {
+static long single_lay_out(single_chain *c, const int *chain, const real *kept, char *memory) {
     char *const begin = memory ? memory + (8 - (size_t)memory % 8) % 8 : NULL;
     const int *place = chain + CHAIN_HEAD + chain[6];
     size_t used = (size_t)chain[0] * sizeof(single_stage);
     c->stages = chain[0], c->stage = (single_stage *)(void *)begin;
-    for (int k = 0; k < c->stages; k++, place += STAGE) {
+    for (int k = 0; k < c->stages; k++, place += CHAIN_STAGE) {
         single_stage one, *s = begin ? c->stage + k : &one;
-        program_read(chain + place[0], &s->p);
+        hystmpc_code_read(chain + place[0], &s->p);
         if (begin) {
             s->place = place, s->registers = (real *)(void *)(begin + used), s->state = s->registers + s->p.kept;
             for (int i = 0; i < s->p.kept; i++) s->registers[i] = kept[place[4] + i];
@@ -39,24 +39,24 @@ static long lay_out(single *c, const int *chain, const real *kept, char *memory)
 }
 
 long hystmpc_chain_single_bytes(const int *chain) {
-    single c;
-    return lay_out(&c, chain, NULL, NULL);
+    single_chain c;
+    return single_lay_out(&c, chain, NULL, NULL);
 }
 
 /* Put in the states; what they alone decide is computed. */
-static void set_state(const single *c, const real *x) {
+static void single_set(const single_chain *c, const real *x) {
     for (const single_stage *s = c->stage; s < c->stage + c->stages; s++) {
         for (int i = 0; i < s->p.states; i++) s->state[i] = x[s->place[2] + i];
-        program_single(s->p.code[FIXED], s->p.length[FIXED], s->registers);
+        hystmpc_code_single(s->p.code[PHASE_FIXED], s->p.length[PHASE_FIXED], s->registers);
     }
 }
 
 /* The angle at command u and its derivative, in a state that has been set. */
-static real angle_at(const single *c, real u, real *slope) {
+static real single_angle(const single_chain *c, real u, real *slope) {
     *slope = R(1.0);
     for (const single_stage *s = c->stage; s < c->stage + c->stages; s++) {
         s->state[s->p.states] = u;
-        program_single(s->p.code[MOVING], s->p.length[MOVING], s->registers);
+        hystmpc_code_single(s->p.code[PHASE_MOVING], s->p.length[PHASE_MOVING], s->registers);
         *slope = s->p.results[0] < 0 ? R(0.0) : *slope * s->registers[s->p.results[0]];
         u = s->registers[s->p.results[1]];
     }
@@ -64,48 +64,48 @@ static real angle_at(const single *c, real u, real *slope) {
 }
 
 /* The state one sample after the command at which the angle has been computed last. */
-static void move_on(const single *c, real *x) {
+static void single_move(const single_chain *c, real *x) {
     for (const single_stage *s = c->stage; s < c->stage + c->stages; s++) {
-        program_single(s->p.code[REST], s->p.length[REST], s->registers);
+        hystmpc_code_single(s->p.code[PHASE_REST], s->p.length[PHASE_REST], s->registers);
         for (int i = 0; i < s->p.states; i++) x[s->place[2] + i] = s->registers[s->p.results[1 + s->p.outputs + i]];
     }
 }
 
-double hystmpc_chain_step(const int *chain, const real *kept, real *x, double u, char *memory) {
-    single c;
+real hystmpc_chain_step(const int *chain, const real *kept, real *x, real u, char *memory) {
+    single_chain c;
     real slope;
-    lay_out(&c, chain, kept, memory);
-    set_state(&c, x);
-    const real angle = angle_at(&c, (real)u, &slope);
-    move_on(&c, x);
-    return (double)angle;
+    single_lay_out(&c, chain, kept, memory);
+    single_set(&c, x);
+    const real angle = single_angle(&c, (real)u, &slope);
+    single_move(&c, x);
+    return (real)angle;
 }
 
-enum { MOST_ROUNDS = 200 };
+enum { INVERSE_ROUNDS = 200 };
 
-/* Numbers of the inverse: the angle may miss by MISS, the bracket shrinks to NARROW. */
+/* Numbers of the inverse: the angle may miss by the first, the bracket shrinks to the second. */
 #if HYSTMPC_SINGLE
-#define MISS R(1e-6)
-#define NARROW R(1e-6)
+#define INVERSE_MISS R(1e-6)
+#define INVERSE_NARROW R(1e-6)
 #else
-#define MISS R(1e-11)
-#define NARROW R(1e-13)
+#define INVERSE_MISS R(1e-11)
+#define INVERSE_NARROW R(1e-13)
 #endif
 
 /* The command of a state that has been set. */
-static real command_for(const single *c, real wanted, real low, real high, real last) {
+static real single_command(const single_chain *c, real wanted, real low, real high, real last) {
     const real ends[2] = {low, high};
     int tried[2] = {0, 0};
     real u = least(most(last, low), high);
-    const real tolerance = MISS * most(R(1.0), absolute(wanted));
-    for (int round = 0; round < MOST_ROUNDS; round++) {
+    const real tolerance = INVERSE_MISS * most(R(1.0), absolute(wanted));
+    for (int round = 0; round < INVERSE_ROUNDS; round++) {
         real slope;
-        const real miss = wanted - angle_at(c, u, &slope);
+        const real miss = wanted - single_angle(c, u, &slope);
         const int up = miss > R(0.0);
         if (absolute(miss) <= tolerance) break;
         if (up) low = u;
         else high = u;
-        if (high - low <= NARROW * most(R(1.0), absolute(high))) break;
+        if (high - low <= INVERSE_NARROW * most(R(1.0), absolute(high))) break;
         /* On a flat branch, or where an end of the range is the answer, Newton points outside: the end itself is tried
          * before the bracket is halved, and Newton goes on from there. */
         const real newton = slope > R(0.0) ? u + miss / slope : high + R(1.0), end = up ? high : low;
@@ -121,12 +121,12 @@ static real command_for(const single *c, real wanted, real low, real high, real 
     return u;
 }
 
-double hystmpc_chain_command_for(const int *chain, const real *kept, const real *x, double wanted, double low,
-                                 double high, double last, char *memory) {
-    single c;
-    lay_out(&c, chain, kept, memory);
-    set_state(&c, x);
-    return (double)command_for(&c, (real)wanted, (real)low, (real)high, (real)last);
+real hystmpc_chain_command_for(const int *chain, const real *kept, const real *x, real wanted, real low,
+                                 real high, real last, char *memory) {
+    single_chain c;
+    single_lay_out(&c, chain, kept, memory);
+    single_set(&c, x);
+    return (real)single_command(&c, (real)wanted, (real)low, (real)high, (real)last);
 }
 
 /* What runs beside one another along a preview: the command's memory with and without the rate limit. */
@@ -135,19 +135,19 @@ typedef struct {
     real last, u, off;     /* off: how much the chain's angle exceeds the network's */
 } follower;
 
-static long network_numbers(const hystmpc_network *network) {
+static long follow_numbers(const hystmpc_network *network) {
     return network ? 2L * hystmpc_network_state(network) + hystmpc_network_room(network, 1) + 4 : 0L;
 }
 
 long hystmpc_follow_bytes(const int *chain, const hystmpc_network *network) {
-    return hystmpc_chain_single_bytes(chain) + network_numbers(network) * (long)sizeof(double) + 64;
+    return hystmpc_chain_single_bytes(chain) + follow_numbers(network) * (long)sizeof(real) + 64;
 }
 
 /* One sample under the command f->u. */
-static void follow_on(const single *c, const hystmpc_network *network, follower *f, real *work) {
+static void follow_on(const single_chain *c, const hystmpc_network *network, follower *f, real *work) {
     real slope, theta = R(0.0);
-    const real angle = angle_at(c, f->u, &slope);
-    move_on(c, f->state);
+    const real angle = single_angle(c, f->u, &slope);
+    single_move(c, f->state);
     f->last = f->u;
     if (!network) return;
     hystmpc_network_sample(network, f->network, 1, &f->u, &theta, work);
@@ -155,12 +155,12 @@ static void follow_on(const single *c, const hystmpc_network *network, follower 
 }
 
 void hystmpc_follow(const int *chain, const real *kept, const hystmpc_network *network, const real *x,
-                    const real *wanted, int samples, double last, const real *bounds, const real *inverted, real *plans,
+                    const real *wanted, int samples, real last, const real *bounds, const real *inverted, real *plans,
                     char *memory) {
-    single c;
+    single_chain c;
     const int size = chain[1], hidden = network ? hystmpc_network_state(network) : 0;
     const real low = bounds[0], high = bounds[1], reach = bounds[2];
-    char *const behind = memory + lay_out(&c, chain, kept, memory);
+    char *const behind = memory + single_lay_out(&c, chain, kept, memory);
     real *const memories = (real *)(behind + (64 - (size_t)behind % 64) % 64), *const work = memories + 2 * hidden;
     const real *const beside = network ? x + hidden + 1 : x;
     follower f[2];
@@ -175,8 +175,8 @@ void hystmpc_follow(const int *chain, const real *kept, const hystmpc_network *n
             /* Beyond the rate limit nothing has to be looked for: the angle does not fall with the command. */
             const real near = row ? most(now->last - reach, inverted[0]) : inverted[0];
             const real far = row ? least(now->last + reach, inverted[1]) : inverted[1];
-            set_state(&c, now->state);
-            const real goal = command_for(&c, wanted[k] + now->off, near, far, now->last);
+            single_set(&c, now->state);
+            const real goal = single_command(&c, wanted[k] + now->off, near, far, now->last);
             now->u = least(most(is_finite(goal) ? goal : now->last, low), high);
             if (rows == 1 && absolute(now->u - now->last) > reach) {
                 rows = 2; /* from here on two memories; the second one goes as far as the limit allows */
@@ -191,3 +191,6 @@ void hystmpc_follow(const int *chain, const real *kept, const hystmpc_network *n
         plans[samples + k] = f[rows - 1].u;
     }
 }
+
+#undef INVERSE_MISS
+#undef INVERSE_NARROW

@@ -9,37 +9,37 @@
 #include "learning.h"
 
 enum {
-    K = HYSTMPC_UNKNOWNS,
-    DELAYS = HYSTMPC_DELAYS,
-    LAGS = HYSTMPC_LAGS, /* of a delay, side by side: each operation is one on a vector of all of them */
-    DRIVES = HYSTMPC_DRIVES,
-    MODEL_ALONE = HYSTMPC_DRIVES,
-    LAST_ANGLE = HYSTMPC_DRIVES + 1,
-    INSTANT = HYSTMPC_MEMORY * HYSTMPC_LAGS, /* numbers of the history of an instant */
-    QUEUE = 3,
-    HISTORY = QUEUE + HYSTMPC_DELAYS
+    LEARN_UNKNOWNS = HYSTMPC_UNKNOWNS,
+    LEARN_DELAYS = HYSTMPC_DELAYS,
+    LEARN_LAGS = HYSTMPC_LAGS, /* of a delay, side by side: each operation is one on a vector of all of them */
+    LEARN_DRIVES = HYSTMPC_DRIVES,
+    LEARN_MODEL_ALONE = HYSTMPC_DRIVES,
+    LEARN_LAST_ANGLE = HYSTMPC_DRIVES + 1,
+    LEARN_INSTANT = HYSTMPC_MEMORY * HYSTMPC_LAGS, /* numbers of the history of an instant */
+    LEARN_QUEUE = 3,
+    LEARN_HISTORY = LEARN_QUEUE + HYSTMPC_DELAYS
 };
 
-#define KEPT R(0.8)       /* forgetting factor of a score, a block */
-#define BETTER R(0.8)     /* share of the present score at which another drive is taken */
-#define LEAST_GAIN R(0.6) /* over the model's score, at which the learned part begins to act */
-#define FULL_GAIN R(0.3)  /* beyond it, for its full effect */
-#define MOVING R(2.0)     /* variances of the filters by which an angle has to move in a block that counts */
-#define RECENT R(0.8)     /* forgetting factor of the errors that a supervisor uses, a block */
-#define WORST R(1.2)      /* error of a block is limited to this: one bad block is weak evidence */
-#define SURPRISE R(9.0)   /* variances of an error in a hold, from which on it is an offset that has jumped */
+#define LEARN_KEPT R(0.8)       /* forgetting factor of a score, a block */
+#define LEARN_BETTER R(0.8)     /* share of the present score at which another drive is taken */
+#define LEARN_LEAST_GAIN R(0.6) /* over the model's score, at which the learned part begins to act */
+#define LEARN_FULL_GAIN R(0.3)  /* beyond it, for its full effect */
+#define LEARN_MOVING R(2.0)     /* variances of the filters by which an angle has to move in a block that counts */
+#define LEARN_RECENT R(0.8)     /* forgetting factor of the errors that a supervisor uses, a block */
+#define LEARN_WORST R(1.2)      /* error of a block is limited to this: one bad block is weak evidence */
+#define LEARN_SURPRISE R(9.0)   /* variances of an error in a hold, from which on it is an offset that has jumped */
 
 /* The covariance of one lag before anything has been learned. */
 static void start_covariance(const hystmpc_learner *n, real (*p)[HYSTMPC_LAGS], int lag) {
-    for (int a = 0, at = 0; a < K; a++)
+    for (int a = 0, at = 0; a < LEARN_UNKNOWNS; a++)
         for (int b = 0; b <= a; b++, at++) p[at][lag] = a == b ? n->prior[a] : R(0.0);
 }
 
 /* Forecasts start from the present weights. */
 static void freeze(hystmpc_filters *l) {
-    for (int delay = 0; delay < DELAYS; delay++)
-        for (int a = 0; a < K; a++)
-            for (int i = 0; i < LAGS; i++) l->frozen[delay][a][i] = l->z[delay][a][i];
+    for (int delay = 0; delay < LEARN_DELAYS; delay++)
+        for (int a = 0; a < LEARN_UNKNOWNS; a++)
+            for (int i = 0; i < LEARN_LAGS; i++) l->frozen[delay][a][i] = l->z[delay][a][i];
 }
 
 HYSTMPC_LOCAL void hystmpc_learning_init(const hystmpc_learner *n, real *past, hystmpc_filters *l, real angle, real u,
@@ -49,25 +49,25 @@ HYSTMPC_LOCAL void hystmpc_learning_init(const hystmpc_learner *n, real *past, h
     past[0] = v;
     past[1] = side;
     past[2] = angle;
-    for (int k = 0; k < DELAYS; k++) past[QUEUE + k] = v;
-    for (int t = 0; t <= DELAYS + n->delay; t++) hystmpc_rest_memory(past + HISTORY + t * INSTANT, LAGS, v, side);
-    for (int delay = 0; delay < DELAYS; delay++) {
-        for (int a = 0; a < K; a++)
-            for (int i = 0; i < LAGS; i++) l->z[delay][a][i] = a ? R(0.0) : y - angle;
-        for (int lag = 0; lag < LAGS; lag++) start_covariance(n, l->covariance[delay], lag);
+    for (int k = 0; k < LEARN_DELAYS; k++) past[LEARN_QUEUE + k] = v;
+    for (int t = 0; t <= LEARN_DELAYS + n->delay; t++) hystmpc_rest_memory(past + LEARN_HISTORY + t * LEARN_INSTANT, LEARN_LAGS, v, side);
+    for (int delay = 0; delay < LEARN_DELAYS; delay++) {
+        for (int a = 0; a < LEARN_UNKNOWNS; a++)
+            for (int i = 0; i < LEARN_LAGS; i++) l->z[delay][a][i] = a ? R(0.0) : y - angle;
+        for (int lag = 0; lag < LEARN_LAGS; lag++) start_covariance(n, l->covariance[delay], lag);
     }
     freeze(l);
     l->references[0] = y - angle;
     l->references[1] = y;
-    for (int i = 0; i < DRIVES + 2; i++) l->sums[i] = l->scores[i] = R(0.0);
+    for (int i = 0; i < LEARN_DRIVES + 2; i++) l->sums[i] = l->scores[i] = R(0.0);
     l->forecast_error = l->share = R(0.0);
     l->count = l->blocks = l->best = 0;
 }
 
 HYSTMPC_LOCAL real hystmpc_learning_reach(const hystmpc_learner *n, const real *past) {
-    const real *queue = past + QUEUE;
+    const real *queue = past + LEARN_QUEUE;
     real low = queue[0], high = queue[0];
-    for (int k = 1; k < DELAYS; k++) {
+    for (int k = 1; k < LEARN_DELAYS; k++) {
         low = least(low, queue[k]);
         high = most(high, queue[k]);
     }
@@ -76,11 +76,11 @@ HYSTMPC_LOCAL real hystmpc_learning_reach(const hystmpc_learner *n, const real *
 
 HYSTMPC_LOCAL void hystmpc_learning_advance(const hystmpc_learner *n, real *past, real u) {
     const real x = hystmpc_share_of_range(&n->basis, u);
-    real *history = past + HISTORY;
-    for (int t = DELAYS + n->delay; t > 0; t--)
-        for (int i = 0; i < INSTANT; i++) history[t * INSTANT + i] = history[(t - 1) * INSTANT + i];
-    hystmpc_advance_memory(&n->basis, history, LAGS, x, n->lags);
-    hystmpc_advance_queue(past + QUEUE, x);
+    real *history = past + LEARN_HISTORY;
+    for (int t = LEARN_DELAYS + n->delay; t > 0; t--)
+        for (int i = 0; i < LEARN_INSTANT; i++) history[t * LEARN_INSTANT + i] = history[(t - 1) * LEARN_INSTANT + i];
+    hystmpc_advance_memory(&n->basis, history, LEARN_LAGS, x, n->lags);
+    hystmpc_advance_queue(past + LEARN_QUEUE, x);
 }
 
 /* One measurement for all lags of a delay. Of each covariance the lower triangle is stored, row by row. `still`: the
@@ -89,78 +89,78 @@ static void correct_drives(const hystmpc_learner *n, real (*restrict z)[HYSTMPC_
                            real (*restrict h)[HYSTMPC_LAGS], const real *error, int still) {
     real spread[HYSTMPC_UNKNOWNS][HYSTMPC_LAGS], variance[HYSTMPC_LAGS], shrunk[HYSTMPC_LAGS];
     int usable[HYSTMPC_LAGS];
-    for (int a = 0, at = 0; a < K; a++, at++) {
+    for (int a = 0, at = 0; a < LEARN_UNKNOWNS; a++, at++) {
         real own[HYSTMPC_LAGS] = {R(0.0)};
         for (int b = 0; b < a; b++, at++) {
-            for (int i = 0; i < LAGS; i++) {
+            for (int i = 0; i < LEARN_LAGS; i++) {
                 own[i] += p[at][i] * h[b][i];
                 spread[b][i] += p[at][i] * h[a][i];
             }
         }
-        for (int i = 0; i < LAGS; i++) spread[a][i] = own[i] + p[at][i] * h[a][i];
+        for (int i = 0; i < LEARN_LAGS; i++) spread[a][i] = own[i] + p[at][i] * h[a][i];
     }
-    for (int i = 0; i < LAGS; i++) variance[i] = n->noise;
-    for (int a = 0; a < K; a++)
-        for (int i = 0; i < LAGS; i++) variance[i] += h[a][i] * spread[a][i];
-    for (int i = 0; i < LAGS; i++) {
+    for (int i = 0; i < LEARN_LAGS; i++) variance[i] = n->noise;
+    for (int a = 0; a < LEARN_UNKNOWNS; a++)
+        for (int i = 0; i < LEARN_LAGS; i++) variance[i] += h[a][i] * spread[a][i];
+    for (int i = 0; i < LEARN_LAGS; i++) {
         const real square = error[i] * error[i];
         usable[i] = n->noise <= variance[i] && is_finite(variance[i]) && is_finite(error[i]);
-        const real jump = still && square > SURPRISE * variance[i] ? square : R(0.0);
+        const real jump = still && square > LEARN_SURPRISE * variance[i] ? square : R(0.0);
         p[0][i] += jump;
         spread[0][i] += jump;
         shrunk[i] = R(1.0) / MATH(sqrt)(variance[i] + jump);
     }
-    for (int a = 0, at = 0; a < K; a++) {
-        for (int i = 0; i < LAGS; i++) {
+    for (int a = 0, at = 0; a < LEARN_UNKNOWNS; a++) {
+        for (int i = 0; i < LEARN_LAGS; i++) {
             spread[a][i] *= shrunk[i]; /* twice the same factor: the covariance stays symmetric to the last bit */
             z[a][i] = usable[i] ? z[a][i] + spread[a][i] * (shrunk[i] * error[i]) : z[a][i];
         }
         for (int b = 0; b <= a; b++, at++)
-            for (int i = 0; i < LAGS; i++) p[at][i] -= spread[a][i] * spread[b][i];
+            for (int i = 0; i < LEARN_LAGS; i++) p[at][i] -= spread[a][i] * spread[b][i];
     }
-    for (int i = 0; i < LAGS; i++)
+    for (int i = 0; i < LEARN_LAGS; i++)
         if (!usable[i]) start_covariance(n, p, i); /* rounding has eaten the covariance */
 }
 
 /* What a block of forecasts says: the scores, the drive that is used, how far it acts. */
 static void judge(const hystmpc_learner *n, hystmpc_filters *l, const real *means) {
-    if (means[LAST_ANGLE] <= MOVING * n->noise) return;
-    const real kept = least(KEPT, (real)l->blocks / ((real)l->blocks + R(1.0)));
+    if (means[LEARN_LAST_ANGLE] <= LEARN_MOVING * n->noise) return;
+    const real kept = least(LEARN_KEPT, (real)l->blocks / ((real)l->blocks + R(1.0)));
     int first = 0;
-    for (int i = 0; i < DRIVES + 2; i++) l->scores[i] = kept * l->scores[i] + (R(1.0) - kept) * means[i];
-    for (int i = 1; i < DRIVES; i++)
+    for (int i = 0; i < LEARN_DRIVES + 2; i++) l->scores[i] = kept * l->scores[i] + (R(1.0) - kept) * means[i];
+    for (int i = 1; i < LEARN_DRIVES; i++)
         if (l->scores[i] < l->scores[first]) first = i;
-    if (l->scores[first] < BETTER * l->scores[l->best]) l->best = first;
-    const real gained = R(1.0) - (l->scores[l->best] + n->floor) / (l->scores[MODEL_ALONE] + n->floor);
-    const real off = MATH(sqrt)(least(means[MODEL_ALONE], means[l->best]) / means[LAST_ANGLE]);
-    l->forecast_error = RECENT * l->forecast_error + (R(1.0) - RECENT) * least(off, WORST);
+    if (l->scores[first] < LEARN_BETTER * l->scores[l->best]) l->best = first;
+    const real gained = R(1.0) - (l->scores[l->best] + n->floor) / (l->scores[LEARN_MODEL_ALONE] + n->floor);
+    const real off = MATH(sqrt)(least(means[LEARN_MODEL_ALONE], means[l->best]) / means[LEARN_LAST_ANGLE]);
+    l->forecast_error = LEARN_RECENT * l->forecast_error + (R(1.0) - LEARN_RECENT) * least(off, LEARN_WORST);
     l->blocks++;
-    l->share = clamp((gained - LEAST_GAIN) / FULL_GAIN, R(0.0), R(1.0));
+    l->share = clamp((gained - LEARN_LEAST_GAIN) / LEARN_FULL_GAIN, R(0.0), R(1.0));
 }
 
 /* Every drive with a measurement used, and the errors of its forecast added. */
 static void correct_all(const hystmpc_learner *n, const real *past, hystmpc_filters *l, real y, real angle) {
-    const real *now = past + HISTORY + n->delay * INSTANT, travel = absolute(now[0] - now[INSTANT]);
-    for (int delay = 0; delay < DELAYS; delay++, now += INSTANT) {
+    const real *now = past + LEARN_HISTORY + n->delay * LEARN_INSTANT, travel = absolute(now[0] - now[LEARN_INSTANT]);
+    for (int delay = 0; delay < LEARN_DELAYS; delay++, now += LEARN_INSTANT) {
         real(*z)[HYSTMPC_LAGS] = l->z[delay], (*p)[HYSTMPC_LAGS] = l->covariance[delay];
         real h[HYSTMPC_UNKNOWNS][HYSTMPC_LAGS], error[HYSTMPC_LAGS], forecast[HYSTMPC_LAGS];
-        hystmpc_features(&n->basis, now, now + INSTANT, LAGS, past[0], past[1], h[2]);
-        for (int i = 0; i < LAGS; i++) {
+        hystmpc_features(&n->basis, now, now + LEARN_INSTANT, LEARN_LAGS, past[0], past[1], h[2]);
+        for (int i = 0; i < LEARN_LAGS; i++) {
             h[0][i] = R(1.0);
             h[1][i] = angle - past[2];
             error[i] = forecast[i] = y - angle;
         }
-        for (int a = 0; a < K; a++) {
-            for (int i = 0; i < LAGS; i++) {
+        for (int a = 0; a < LEARN_UNKNOWNS; a++) {
+            for (int i = 0; i < LEARN_LAGS; i++) {
                 error[i] -= h[a][i] * z[a][i];
                 forecast[i] -= h[a][i] * l->frozen[delay][a][i];
             }
         }
-        for (int lag = 0; lag < LAGS; lag++) l->sums[lag * DELAYS + delay] += forecast[lag] * forecast[lag];
+        for (int lag = 0; lag < LEARN_LAGS; lag++) l->sums[lag * LEARN_DELAYS + delay] += forecast[lag] * forecast[lag];
         correct_drives(n, z, p, h, error, travel == R(0.0));
-        for (int a = 0; a < K; a++) {
+        for (int a = 0; a < LEARN_UNKNOWNS; a++) {
             real *own = p[a * (a + 3) / 2];
-            for (int i = 0; i < LAGS; i++) {
+            for (int i = 0; i < LEARN_LAGS; i++) {
                 const real grown = own[i] + n->growth[a] + n->walk[a] * travel;
                 own[i] = least(grown, most(n->prior[a], own[i]));
             }
@@ -172,14 +172,14 @@ HYSTMPC_LOCAL void hystmpc_learning_correct(const hystmpc_learner *n, const real
                                             real angle, real disturbance) {
     correct_all(n, past, l, y, angle);
     const real own = y - angle - l->references[0], none = y - l->references[1];
-    l->sums[MODEL_ALONE] += own * own;
-    l->sums[LAST_ANGLE] += none * none;
+    l->sums[LEARN_MODEL_ALONE] += own * own;
+    l->sums[LEARN_LAST_ANGLE] += none * none;
     l->count++;
     if (l->count < n->block) return;
     real means[HYSTMPC_DRIVES + 2];
-    for (int i = 0; i < DRIVES + 2; i++) means[i] = l->sums[i] / (real)l->count;
+    for (int i = 0; i < LEARN_DRIVES + 2; i++) means[i] = l->sums[i] / (real)l->count;
     judge(n, l, means);
-    for (int i = 0; i < DRIVES + 2; i++) l->sums[i] = R(0.0);
+    for (int i = 0; i < LEARN_DRIVES + 2; i++) l->sums[i] = R(0.0);
     l->count = 0;
     freeze(l);
     l->references[0] = disturbance;
@@ -187,13 +187,13 @@ HYSTMPC_LOCAL void hystmpc_learning_correct(const hystmpc_learner *n, const real
 }
 
 /* The memory behind one lag, so many samples ago. */
-static void memory_of(const real *past, int at, int lag, real *memory) {
-    for (int i = 0; i < HYSTMPC_MEMORY; i++) memory[i] = past[HISTORY + at * INSTANT + i * LAGS + lag];
+static void memory_behind(const real *past, int at, int lag, real *memory) {
+    for (int i = 0; i < HYSTMPC_MEMORY; i++) memory[i] = past[LEARN_HISTORY + at * LEARN_INSTANT + i * LEARN_LAGS + lag];
 }
 
 HYSTMPC_LOCAL void hystmpc_learning_added(const hystmpc_learner *n, const real *past, const hystmpc_filters *l,
                                           const real *angles, real *added) {
-    const int lag = l->best / DELAYS, delay = l->best % DELAYS;
+    const int lag = l->best / LEARN_DELAYS, delay = l->best % LEARN_DELAYS;
     real memory[HYSTMPC_MEMORY], f[HYSTMPC_FEATURES];
     for (int k = 0; k <= n->delay; k++) {
         const int at = delay + n->delay - k;
@@ -201,8 +201,8 @@ HYSTMPC_LOCAL void hystmpc_learning_added(const hystmpc_learner *n, const real *
             added[k] = R(0.0);
             continue;
         }
-        memory_of(past, at, lag, memory);
-        hystmpc_features(&n->basis, memory, past + HISTORY + (at + 1) * INSTANT + lag, 1, past[0], past[1], f);
+        memory_behind(past, at, lag, memory);
+        hystmpc_features(&n->basis, memory, past + LEARN_HISTORY + (at + 1) * LEARN_INSTANT + lag, 1, past[0], past[1], f);
         real total = l->z[delay][1][lag] * (angles[k] - past[2]);
         for (int i = 0; i < HYSTMPC_FEATURES; i++) total += l->z[delay][2 + i][lag] * f[i];
         added[k] = l->share * total;
@@ -211,11 +211,20 @@ HYSTMPC_LOCAL void hystmpc_learning_added(const hystmpc_learner *n, const real *
 
 HYSTMPC_LOCAL void hystmpc_learning_state(const hystmpc_learner *n, const real *past, const hystmpc_filters *l,
                                           hystmpc_learned *s) {
-    const int lag = l->best / DELAYS, delay = l->best % DELAYS;
-    memory_of(past, delay, lag, s->memory);
-    for (int k = 0; k < DELAYS; k++) s->queue[k] = past[QUEUE + k];
+    const int lag = l->best / LEARN_DELAYS, delay = l->best % LEARN_DELAYS;
+    memory_behind(past, delay, lag, s->memory);
+    for (int k = 0; k < LEARN_DELAYS; k++) s->queue[k] = past[LEARN_QUEUE + k];
     for (int i = 0; i < HYSTMPC_WEIGHTS; i++) s->weights[i] = l->share * l->z[delay][1 + i][lag];
     for (int i = 0; i < 3; i++) s->start[i] = past[i];
     s->share = n->lags[lag];
     s->delay = (real)delay;
 }
+
+#undef LEARN_KEPT
+#undef LEARN_BETTER
+#undef LEARN_LEAST_GAIN
+#undef LEARN_FULL_GAIN
+#undef LEARN_MOVING
+#undef LEARN_RECENT
+#undef LEARN_WORST
+#undef LEARN_SURPRISE

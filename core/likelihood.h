@@ -3,6 +3,7 @@
 #define HYSTMPC_LIKELIHOOD_H
 
 #include "hystmpc_core.h"
+#include "real.h"
 
 /* Twice the negative log-likelihood of residuals (T,) [deg], without a constant; `sensor` (1,) is the sensor's variance
  * [deg^2]. With P and S in variances of the sensor (Harvey, 1989, section 3.4):
@@ -11,7 +12,7 @@
  *
  * `travel` (T,) is that of the command in the sample before each [command unit], below zero at the first sample of a
  * trial; drift and motion are the variance of the walk in a sample, and over one unit of travel. */
-HYSTMPC_API double hystmpc_walk_likelihood(const double *residuals, const double *travel, int samples, double drift,
-                                           double motion, double *sensor);
+HYSTMPC_API real hystmpc_walk_likelihood(const real *residuals, const real *travel, int samples, real drift,
+                                           real motion, real *sensor);
 
 #endif

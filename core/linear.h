@@ -2,11 +2,8 @@
 #ifndef HYSTMPC_LINEAR_H
 #define HYSTMPC_LINEAR_H
 
+#include "hystmpc_core.h"
 #include "real.h"
-
-#ifndef HYSTMPC_LOCAL
-#define HYSTMPC_LOCAL /* of functions that other files of the engine call; `static` where all files are one */
-#endif
 
 #define INFINITE ((real)INFINITY)
 

@@ -86,7 +86,7 @@ int hystmpc_model_command(const void *model, const real *x, real theta, real u_l
         if (failed) return failed;
         theta -= learned;
     }
-    return hystmpc_inverse_command(m->inverse, x, theta, u_last, u, room);
+    return hystmpc_inverse_command(m->inverse, x, m->predictor->states, theta, u_last, u, room);
 }
 
 int hystmpc_model_follow(const void *model, const real *x, const real *wanted, int samples, real u_last,

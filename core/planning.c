@@ -2,14 +2,14 @@
 #include "planning.h"
 
 hystmpc_task hystmpc_task_of(const hystmpc_law *l, const void *task) {
-    const double *const numbers = task;
+    const real *const numbers = task;
     const hystmpc_task t = {numbers + 3, numbers + 3 + l->horizon, numbers[0], numbers[1], numbers[2]};
     return t;
 }
 
 int hystmpc_law_size(void) { return (int)sizeof(hystmpc_law); }
 
-void hystmpc_law_init(const int *whole, const double *numbers, char *law) {
+void hystmpc_law_init(const int *whole, const real *numbers, char *law) {
     hystmpc_law *const l = (hystmpc_law *)(void *)law;
     l->horizon = whole[0];
     l->moves = whole[1];
@@ -28,11 +28,11 @@ void hystmpc_law_init(const int *whole, const double *numbers, char *law) {
     l->constant = l->blocked ? l->blocking + l->horizon * l->moves : l->blocking;
 }
 
-static int whole_numbers(int unknowns, int slacks) { return 2 * unknowns + slacks; }
+static int program_whole(int unknowns, int slacks) { return 2 * unknowns + slacks; }
 
 int hystmpc_qp_bytes(int unknowns, int rows, int slacks) {
-    return (int)sizeof(double) * hystmpc_qp_reals(unknowns, rows, slacks) +
-           (int)sizeof(int) * whole_numbers(unknowns, slacks);
+    return (int)sizeof(real) * hystmpc_qp_reals(unknowns, rows, slacks) +
+           (int)sizeof(int) * program_whole(unknowns, slacks);
 }
 
 /* Numbers of the room behind the program, in which samples are fitted too: see sampling.c. */
@@ -47,43 +47,43 @@ static int program_reals(const hystmpc_law *l) {
 int hystmpc_law_bytes(const void *law, int more) {
     const hystmpc_law *const l = law;
     return hystmpc_qp_bytes(l->moves, hystmpc_program_rows(l), hystmpc_program_slacks(l)) +
-           (int)sizeof(double) * (law_reals(l) + more);
+           (int)sizeof(real) * (law_reals(l) + more);
 }
 
 void hystmpc_step_room(const void *law, int *sizes) {
     const hystmpc_law *const l = law;
     sizes[0] = program_reals(l) + l->horizon * l->moves;
-    sizes[1] = whole_numbers(l->moves, hystmpc_program_slacks(l));
+    sizes[1] = program_whole(l->moves, hystmpc_program_slacks(l));
 }
 
-static double *place(hystmpc_qp *q, int unknowns, int rows, int slacks, int more, void *room) {
-    double *const numbers = room, *const behind = numbers + hystmpc_qp_reals(unknowns, rows, slacks);
+static real *place_any_program(hystmpc_qp *q, int unknowns, int rows, int slacks, int more, void *room) {
+    real *const numbers = room, *const behind = numbers + hystmpc_qp_reals(unknowns, rows, slacks);
     hystmpc_place_qp(q, unknowns, rows, slacks, numbers, (int *)(void *)(behind + more));
     return behind;
 }
 
-double *hystmpc_place_program(const hystmpc_law *l, void *room, hystmpc_qp *q) {
-    return place(q, l->moves, hystmpc_program_rows(l), hystmpc_program_slacks(l), law_reals(l), room);
+real *hystmpc_place_program(const hystmpc_law *l, void *room, hystmpc_qp *q) {
+    return place_any_program(q, l->moves, hystmpc_program_rows(l), hystmpc_program_slacks(l), law_reals(l), room);
 }
 
-void hystmpc_clip_plans(int count, int samples, double lower, double upper, double reach, double last, double *plans) {
+void hystmpc_clip_plans(int count, int samples, real lower, real upper, real reach, real last, real *plans) {
     for (int n = 0; n < count; n++) hystmpc_clip_plan(samples, lower, upper, reach, last, plans + n * samples);
 }
 
-void hystmpc_costs(const void *law, const void *task, int count, const double *plans, const double *angles,
-                   double *costs) {
+void hystmpc_costs(const void *law, const void *task, int count, const real *plans, const real *angles,
+                   real *costs) {
     const hystmpc_law *const l = law;
     const hystmpc_task t = hystmpc_task_of(l, task);
     for (int n = 0; n < count; n++) costs[n] = hystmpc_plan_cost(l, &t, plans + n * l->horizon, angles + n * l->horizon);
 }
 
-int hystmpc_cheapest(const void *law, const void *task, int count, const double *plans, const double *angles,
-                     double *cost) {
+int hystmpc_cheapest(const void *law, const void *task, int count, const real *plans, const real *angles,
+                     real *cost) {
     int best = 0;
     *cost = INFINITE;
     for (int n = 0; n < count; n++) {
         const hystmpc_law *const l = law;
-        double one;
+        real one;
         hystmpc_costs(l, task, 1, plans + n * l->horizon, angles + n * l->horizon, &one);
         if (one < *cost) {
             *cost = one;
@@ -93,20 +93,20 @@ int hystmpc_cheapest(const void *law, const void *task, int count, const double 
     return best;
 }
 
-int hystmpc_fill_candidates(const void *law, const double *targets, const double *remaining, int left, double u_last,
-                            int resting, double *plans) {
+int hystmpc_fill_candidates(const void *law, const real *targets, const real *remaining, int left, real u_last,
+                            int resting, real *plans) {
     const hystmpc_law *const l = law;
     copy(targets + l->horizon, plans + HYSTMPC_INVERTED * l->horizon, l->horizon);
     return hystmpc_candidates(l, targets, remaining, left, u_last, resting, plans);
 }
 
-void hystmpc_blocked_jacobian(const void *law, const double *jacobian, double *columns) {
+void hystmpc_blocked_jacobian(const void *law, const real *jacobian, real *columns) {
     hystmpc_block_columns(law, jacobian, columns);
 }
 
-void hystmpc_program(const void *law, const void *task, const double *columns, const double *commands,
-                     const double *angles, void *room, double *hessian, double *gradient, double *rows,
-                     double *bounds) {
+void hystmpc_program(const void *law, const void *task, const real *columns, const real *commands,
+                     const real *angles, void *room, real *hessian, real *gradient, real *rows,
+                     real *bounds) {
     const hystmpc_task t = hystmpc_task_of(law, task);
     hystmpc_qp q;
     (void)hystmpc_place_program(law, room, &q);
@@ -119,13 +119,13 @@ void hystmpc_program(const void *law, const void *task, const double *columns, c
     copy(q.soft, bounds + 2 * q.rows, q.rows);
 }
 
-int hystmpc_quadratic_program(int unknowns, int rows, const double *hessian, const double *gradient,
-                              const double *columns, const double *lower, const double *upper, const double *soft,
-                              int changes, char *room, double *primal) {
+int hystmpc_quadratic_program(int unknowns, int rows, const real *hessian, const real *gradient,
+                              const real *columns, const real *lower, const real *upper, const real *soft,
+                              int changes, char *room, real *primal) {
     hystmpc_qp q;
     int slacks = 0;
-    for (int r = 0; r < rows; r++) slacks += soft[r] > 0.0;
-    (void)place(&q, unknowns, rows, slacks, 0, room);
+    for (int r = 0; r < rows; r++) slacks += soft[r] > R(0.0);
+    (void)place_any_program(&q, unknowns, rows, slacks, 0, room);
     copy(hessian, q.hessian, unknowns * unknowns);
     copy(gradient, q.gradient, unknowns);
     copy(columns, q.columns, unknowns * rows);
@@ -137,22 +137,22 @@ int hystmpc_quadratic_program(int unknowns, int rows, const double *hessian, con
     return answer;
 }
 
-int hystmpc_plan_step(const void *law, const void *task, const double *jacobian, const double *commands,
-                      const double *angles, int changes, void *room, double *out) {
+int hystmpc_plan_step(const void *law, const void *task, const real *jacobian, const real *commands,
+                      const real *angles, int changes, void *room, real *out) {
     const hystmpc_law *const l = law;
     const hystmpc_task t = hystmpc_task_of(l, task);
-    double *const numbers = room;
+    real *const numbers = room;
     int *const whole = (int *)(void *)(numbers + program_reals(l) + law_reals(l));
     return hystmpc_step_plan(l, &t, jacobian, commands, angles, changes, numbers, whole, out, out + l->horizon);
 }
 
-void hystmpc_plan_after(const void *law, const void *task, const double *jacobian, const double *commands,
-                        const double *angles, const double *primal, void *room, double *out) {
+void hystmpc_plan_after(const void *law, const void *task, const real *jacobian, const real *commands,
+                        const real *angles, const real *primal, void *room, real *out) {
     const hystmpc_law *const l = law;
     const hystmpc_task t = hystmpc_task_of(l, task);
     hystmpc_after_moves(l, &t, jacobian, commands, angles, primal, room, out, out + l->horizon);
 }
 
-void hystmpc_parts_of_step(const void *law, const double *commands, const double *plan, double u_last, double *parts) {
+void hystmpc_parts_of_step(const void *law, const real *commands, const real *plan, real u_last, real *parts) {
     hystmpc_part_plans(law, commands, plan, u_last, parts);
 }

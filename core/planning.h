@@ -9,10 +9,10 @@
 #include "hystmpc_core.h"
 #include "law.h"
 
-hystmpc_task hystmpc_task_of(const hystmpc_law *l, const void *task);
+HYSTMPC_LOCAL hystmpc_task hystmpc_task_of(const hystmpc_law *l, const void *task);
 
 /* A program of this law in `room`; answers what is behind it, of H m + (m + 1) (m + H) numbers. */
-double *hystmpc_place_program(const hystmpc_law *l, void *room, hystmpc_qp *q);
+HYSTMPC_LOCAL real *hystmpc_place_program(const hystmpc_law *l, void *room, hystmpc_qp *q);
 
 /* Bytes of `hystmpc_law`, of the room for a law's program and for `more` numbers, of that for any program. */
 HYSTMPC_API int hystmpc_law_size(void);
@@ -25,49 +25,49 @@ HYSTMPC_API void hystmpc_step_room(const void *law, int *sizes);
 /* A law of two tables, which stay where they are. whole: H, m, whether moves are blocked, whether angles have soft limits,
  * first samples of the blocks (m), last ones (m). numbers: least and greatest command, greatest change; weights of moves,
  * effort and soft limits; q (H); with blocks M (H, m) and the constant part of the Hessian (m, m). */
-HYSTMPC_API void hystmpc_law_init(const int *whole, const double *numbers, char *law);
+HYSTMPC_API void hystmpc_law_init(const int *whole, const real *numbers, char *law);
 
 /* Plans sample by sample to the nearest admissible commands after `last`, in place; not-a-number stays. */
-HYSTMPC_API void hystmpc_clip_plans(int count, int samples, double lower, double upper, double reach, double last,
-                                    double *plans);
+HYSTMPC_API void hystmpc_clip_plans(int count, int samples, real lower, real upper, real reach, real last,
+                                    real *plans);
 
 /* The costs (N) of plans; the first plan that costs least, and its cost alone. */
-HYSTMPC_API void hystmpc_costs(const void *law, const void *task, int count, const double *plans,
-                               const double *angles, double *costs);
-HYSTMPC_API int hystmpc_cheapest(const void *law, const void *task, int count, const double *plans,
-                                 const double *angles, double *cost);
+HYSTMPC_API void hystmpc_costs(const void *law, const void *task, int count, const real *plans,
+                               const real *angles, real *costs);
+HYSTMPC_API int hystmpc_cheapest(const void *law, const void *task, int count, const real *plans,
+                                 const real *angles, real *cost);
 
 /* Candidates, and N; targets (2, H): the inverse within the box, and within the rate limit; remaining (left): of the last
  * plan; resting: with small steps. */
-HYSTMPC_API int hystmpc_fill_candidates(const void *law, const double *targets, const double *remaining, int left,
-                                        double u_last, int resting, double *plans);
+HYSTMPC_API int hystmpc_fill_candidates(const void *law, const real *targets, const real *remaining, int left,
+                                        real u_last, int resting, real *plans);
 
 /* J M (H, m). */
-HYSTMPC_API void hystmpc_blocked_jacobian(const void *law, const double *jacobian, double *columns);
+HYSTMPC_API void hystmpc_blocked_jacobian(const void *law, const real *jacobian, real *columns);
 
 /* The program around a plan, where J M = `columns` (H, m): P (m, m) of which the lower triangle is filled, q (m), A (m, R)
  * by columns, and (3, R) lower and upper bounds and soft shares; R = H + m, and H more with soft limits. */
-HYSTMPC_API void hystmpc_program(const void *law, const void *task, const double *columns, const double *commands,
-                                 const double *angles, void *room, double *hessian, double *gradient, double *rows,
-                                 double *bounds);
+HYSTMPC_API void hystmpc_program(const void *law, const void *task, const real *columns, const real *commands,
+                                 const real *angles, void *room, real *hessian, real *gradient, real *rows,
+                                 real *bounds);
 
 /* z (n) of a program as above; answers the number of changes of the active set, or what qp.h says. */
-HYSTMPC_API int hystmpc_quadratic_program(int unknowns, int rows, const double *hessian, const double *gradient,
-                                          const double *columns, const double *lower, const double *upper,
-                                          const double *soft, int changes, char *room, double *primal);
+HYSTMPC_API int hystmpc_quadratic_program(int unknowns, int rows, const real *hessian, const real *gradient,
+                                          const real *columns, const real *lower, const real *upper,
+                                          const real *soft, int changes, char *room, real *primal);
 
 /* One step from a plan with this Jacobian (H, H): the program around it, its solution, and in `out` the admissible plan
  * after it (H) and what that costs by the linearisation. Answers as `hystmpc_quadratic_program`. */
-HYSTMPC_API int hystmpc_plan_step(const void *law, const void *task, const double *jacobian, const double *commands,
-                                  const double *angles, int changes, void *room, double *out);
+HYSTMPC_API int hystmpc_plan_step(const void *law, const void *task, const real *jacobian, const real *commands,
+                                  const real *angles, int changes, void *room, real *out);
 
 /* The same of a solution z (m) that is known. */
-HYSTMPC_API void hystmpc_plan_after(const void *law, const void *task, const double *jacobian,
-                                    const double *commands, const double *angles, const double *primal, void *room,
-                                    double *out);
+HYSTMPC_API void hystmpc_plan_after(const void *law, const void *task, const real *jacobian,
+                                    const real *commands, const real *angles, const real *primal, void *room,
+                                    real *out);
 
 /* Parts of the way to another plan (3, H), admissible. */
-HYSTMPC_API void hystmpc_parts_of_step(const void *law, const double *commands, const double *plan, double u_last,
-                                       double *parts);
+HYSTMPC_API void hystmpc_parts_of_step(const void *law, const real *commands, const real *plan, real u_last,
+                                       real *parts);
 
 #endif

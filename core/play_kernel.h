@@ -7,30 +7,31 @@
 #define HYSTMPC_PLAY_KERNEL_H
 
 #include "hystmpc_core.h"
+#include "real.h"
 
 /* Moves the state x (S,) on by the command u; returns the angle [deg].
  *
  * Unless it is a null pointer, `slope` (2 S + 1,) becomes d theta / d z_i (first d / d v without the stops), whether
  * play i moves (1 or 0), and last d theta / d u without the part through v. */
-HYSTMPC_API double hystmpc_play_kernel_step(const double *model, int plays, int segments, double *x, double u,
-                                            double *slope);
+HYSTMPC_API real hystmpc_play_kernel_step(const real *model, int plays, int segments, real *x, real u,
+                                            real *slope);
 
 /* Angles theta (N, H) [deg] of plans (N, H) from one state (S,); work (S,). */
-HYSTMPC_API void hystmpc_play_kernel_rollout(const double *model, int plays, int segments, const double *state,
-                                             const double *plans, int rows, int horizon, double *theta, double *work);
+HYSTMPC_API void hystmpc_play_kernel_rollout(const real *model, int plays, int segments, const real *state,
+                                             const real *plans, int rows, int horizon, real *theta, real *work);
 
 /* Angles theta (H,) along a plan (H,) and their Jacobian (H, H) by forward sensitivity; work (3 S + 1 + S H,). */
-HYSTMPC_API void hystmpc_play_kernel_linearise(const double *model, int plays, int segments, const double *state,
-                                               const double *plan, int horizon, double *theta, double *jacobian,
-                                               double *work);
+HYSTMPC_API void hystmpc_play_kernel_linearise(const real *model, int plays, int segments, const real *state,
+                                               const real *plan, int horizon, real *theta, real *jacobian,
+                                               real *work);
 
 /* Command in [low, high] whose next angle is `wanted` [deg], by Newton's method within brackets; work (3 S + 1,). */
-HYSTMPC_API double hystmpc_play_kernel_command(const double *model, int plays, int segments, const double *state,
-                                               double wanted, double low, double high, double last, double *work);
+HYSTMPC_API real hystmpc_play_kernel_command(const real *model, int plays, int segments, const real *state,
+                                               real wanted, real low, real high, real last, real *work);
 
 /* States (T, 1 + n) after each command (T,): v += gain (u - v), then p_i = max(v - r_i, min(v + r_i, p_i)). `now`
  * (1 + n,) is the state before the first command and becomes the last one. */
-HYSTMPC_API void hystmpc_follow_plays(const double *command, int samples, double gain, const double *radii, int plays,
-                                      double *now, double *states);
+HYSTMPC_API void hystmpc_follow_plays(const real *command, int samples, real gain, const real *radii, int plays,
+                                      real *now, real *states);
 
 #endif

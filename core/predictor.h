@@ -14,7 +14,7 @@ typedef struct {
     int (*advance)(real *x, real u, real *theta);
     int (*run)(const real *x, int rows, int samples, const real *plans, real *angles);
     int (*linearise)(const real *x, int samples, const real *plan, real *angles, real *jacobian);
-    int (*command)(const real *x, real theta, real u_last, real *u);
+    int (*command)(const real *x, int states, real theta, real u_last, real *u);
 } hystmpc_outside;
 
 enum {
@@ -40,7 +40,7 @@ typedef struct hystmpc_predictor {
 /* Room for up to so many rows of so many samples, a linearisation over them included. */
 HYSTMPC_API long hystmpc_predictor_bytes(const void *predictor, int rows, int samples);
 
-/* One sample later, in place. */
+/* One sample later, in place; where it fails the state stays as it was. */
 HYSTMPC_API int hystmpc_predictor_advance(const void *predictor, real *x, real u, real *theta, char *room);
 
 /* Angles (N, H) of plans (N, H), all from one state. */
@@ -73,9 +73,9 @@ typedef struct hystmpc_inverse {
 /* Room for an inverse over so many samples; `predictor` is that of its state. */
 HYSTMPC_API long hystmpc_inverse_bytes(const void *inverse, const void *predictor, int samples);
 
-/* The command whose next angle is theta: that which brings a driven model to rest there. */
-HYSTMPC_API int hystmpc_inverse_command(const void *inverse, const real *x, real theta, real u_last, real *u,
-                                        char *room);
+/* The command whose next angle is theta in the state x (S): that which brings a driven model to rest there. */
+HYSTMPC_API int hystmpc_inverse_command(const void *inverse, const real *x, int states, real theta, real u_last,
+                                        real *u, char *room);
 
 /* Commands (2, H) along the angles `wanted` (H) from the state of `predictor`: row 0 within the box of the bounds (low,
  * high, reach), row 1 also by no more than `reach` in a sample. In a state that is not finite: the last command. */

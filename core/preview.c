@@ -14,21 +14,23 @@ static long preview_command_bytes(const hystmpc_inverse *v) {
     return ROOM_LINE + (v->kind == HYSTMPC_EXACT ? hystmpc_chain_single_bytes(v->predictor->chain) : 0L);
 }
 
-int hystmpc_inverse_command(const void *inverse, const real *x, real theta, real u_last, real *u, char *room) {
+int hystmpc_inverse_command(const void *inverse, const real *x, int states, real theta, real u_last, real *u,
+                            char *room) {
     const hystmpc_inverse *const v = inverse;
     switch (v->kind) {
     case HYSTMPC_EXACT:
-        *u = (real)hystmpc_chain_command_for(v->predictor->chain, v->predictor->kept, x, (double)theta, (double)v->low,
-                                             (double)v->high, (double)u_last, room_begin(room));
+        *u = hystmpc_chain_command_for(v->predictor->chain, v->predictor->kept, x, theta, v->low, v->high, u_last,
+                                       room_begin(room));
         return 0;
     case HYSTMPC_COMPANION: {
-        const real *const angle = x + v->predictor->first->states;
-        return hystmpc_inverse_command(v->inner, angle + 1, theta + x[v->predictor->states - 1] - *angle, u_last, u,
-                                       room);
+        const hystmpc_predictor *const first = v->predictor->first, *const second = v->predictor->second;
+        const real wanted = theta + x[v->predictor->states - 1] - x[first->states];
+        return hystmpc_inverse_command(v->inner, x + first->states + 1, second->states, wanted, u_last, u, room);
     }
     case HYSTMPC_DRIVEN:
-        return hystmpc_inverse_command(v->inner, x + (v->front ? v->front->states : 0), theta, u_last, u, room);
-    default: return v->outside->command(x, theta, u_last, u);
+        x += v->front ? v->front->states : 0;
+        return hystmpc_inverse_command(v->inner, x, v->predictor->states, theta, u_last, u, room);
+    default: return v->outside->command(x, states, theta, u_last, u);
     }
 }
 
@@ -81,7 +83,7 @@ static int preview_step_by_step(const preview_task *t, real reach, real *plan, r
     copy(t->x, state, t->predictor->states);
     for (int k = 0; k < t->samples; k++) {
         real u = last, theta;
-        int failed = hystmpc_inverse_command(t->inverse, state, t->wanted[k], last, &u, room);
+        int failed = hystmpc_inverse_command(t->inverse, state, t->predictor->states, t->wanted[k], last, &u, room);
         if (failed) return failed;
         u = clamp(is_finite(u) ? u : last, t->low, t->high);
         last = clamp(u, last - reach, last + reach);
@@ -107,8 +109,8 @@ static int preview_any(const preview_task *t, real reach, real *plans, char *roo
 /* Inputs (H) of a drive in the state x whose outputs come closest to `wanted` (H). */
 static void preview_lead(const hystmpc_predictor *drive, const real *x, const real *wanted, int samples, real u_last,
                          real reach, real *inputs, real *outputs, char *room) {
-    (void)hystmpc_lead_drive(drive->chain, drive->kept, x, wanted, samples, (double)u_last,
-                             (double)least(reach, preview_free), preview_drive, inputs, outputs, room);
+    (void)hystmpc_lead_drive(drive->chain, drive->kept, x, wanted, samples, u_last, least(reach, preview_free),
+                             preview_drive, inputs, outputs, room);
 }
 
 /* With dynamics before and behind the model: first the travel is planned, then the commands whose drive follows it
@@ -169,6 +171,6 @@ int hystmpc_inverse_follow(const void *inverse, const void *predictor, const rea
     if (!exact) return preview_any(&task, bounds[2], plans, room);
     const real inverted[2] = {exact->low, exact->high};
     hystmpc_follow(exact->predictor->chain, exact->predictor->kept, preview_network(v), x, wanted, samples,
-                   (double)u_last, bounds, inverted, plans, room);
+                   u_last, bounds, inverted, plans, room);
     return 0;
 }

@@ -22,7 +22,7 @@
 #include "hystmpc_core.h"
 #include "real.h"
 
-enum hystmpc_phase { ONCE, AHEAD, THROUGH, BEHIND, SLOPES, FIXED, MOVING, REST, PHASES };
+enum hystmpc_phase { PHASE_ONCE, PHASE_AHEAD, PHASE_THROUGH, PHASE_BEHIND, PHASE_SLOPES, PHASE_FIXED, PHASE_MOVING, PHASE_REST, PHASES };
 
 typedef struct {
     int states, inputs, parameters, outputs;
@@ -35,22 +35,22 @@ typedef struct {
     int length[PHASES];
     const int *code[PHASES];
     const int *keeps, *slope, *first, *group, *results;
-} hystmpc_program;
+} hystmpc_code;
 
 /* Where the parts of a table lie; answers the number of whole numbers read. */
-int program_read(const int *table, hystmpc_program *p);
+HYSTMPC_LOCAL int hystmpc_code_read(const int *table, hystmpc_code *p);
 
 /* Instructions on `lanes` numbers a row, a multiple of four; row r begins at row[r] + at. */
-void program_lanes(const int *code, int length, real *const *row, int at, int lanes);
+HYSTMPC_LOCAL void hystmpc_code_lanes(const int *code, int length, real *const *row, int at, int lanes);
 
 /* Instructions on one number a row, sample after sample: row[r] + t for t = first, ..., first + samples - 1. */
-void program_samples(const int *code, int length, real *const *row, int first, int samples);
+HYSTMPC_LOCAL void hystmpc_code_samples(const int *code, int length, real *const *row, int first, int samples);
 
 /* Instructions on registers. */
-void program_single(const int *code, int length, real *registers);
+HYSTMPC_LOCAL void hystmpc_code_single(const int *code, int length, real *registers);
 
 /* Kept values (kept) by parameters (P) and sample time [s]; room for `registers` numbers. */
-void program_prepare(const hystmpc_program *p, const real *constants, int count, const real *parameters, int stride,
+HYSTMPC_LOCAL void hystmpc_code_prepare(const hystmpc_code *p, const real *constants, int count, const real *parameters, int stride,
                      real dt, real *kept, int kept_stride, real *room);
 
 #endif

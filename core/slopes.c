@@ -34,13 +34,13 @@ typedef struct {
 
 enum { BY_STATE, BY_INPUT, BY_PARAMETER };
 
-static real *history_of(const direction *d, int i) { return d->r->history + i * (STRIDE + d->r->abreast); }
+static real *history_of(const direction *d, int i) { return d->r->history + i * (CHAIN_STRIDE + d->r->abreast); }
 
 /* Whether what a slope multiplies is not zero. */
 static int term_acts(const direction *d, const int *slope) {
     const int directions = d->r->directions;
     if (slope[0] == BY_STATE) return d->moves[slope[1] * directions];
-    if (slope[0] == BY_INPUT) return d->r->begins[d->s->wires[slope[1]] * directions + d->q] < LANES;
+    if (slope[0] == BY_INPUT) return d->r->begins[d->s->wires[slope[1]] * directions + d->q] < HYSTMPC_BLOCK;
     return d->seeds[slope[1] * directions] != R(0.0);
 }
 
@@ -50,7 +50,7 @@ static int add_term(const direction *d, const int *slope, real *to, int adds) {
     const real *value = d->s->row[slope[2]];
     if (slope[0] == BY_STATE) add_product(to, value, history_of(d, slope[1]), d->first, d->lanes, adds);
     else if (slope[0] == BY_INPUT)
-        add_product(to, value, r->by + (d->s->wires[slope[1]] * r->directions + d->q) * STRIDE, d->first, d->lanes, adds);
+        add_product(to, value, r->by + (d->s->wires[slope[1]] * r->directions + d->q) * CHAIN_STRIDE, d->first, d->lanes, adds);
     else add_multiple(to, value, d->seeds[slope[1] * r->directions], d->first, d->lanes, adds);
     return 1;
 }
@@ -64,7 +64,7 @@ static int is_in(const int *group, int state) {
 /* Derivatives of a group of states along the block: what comes from outside for all samples, then sample after sample. */
 static void move_group(const direction *d, const int *group) {
     const chain_run *r = d->r;
-    const hystmpc_program *p = &d->s->p;
+    const hystmpc_code *p = &d->s->p;
     const int g = r->abreast;
     for (int k = 1; k <= group[0]; k++) {
         real *next = history_of(d, group[k]) + g;
@@ -102,7 +102,7 @@ static void move_group(const direction *d, const int *group) {
 
 /* Which states of a group have a derivative from now on. */
 static int group_acts(const direction *d, const int *group) {
-    const hystmpc_program *p = &d->s->p;
+    const hystmpc_code *p = &d->s->p;
     for (int k = 1; k <= group[0]; k++) {
         if (d->moves[group[k] * d->r->directions]) return 1;
         for (int q = p->first[group[k]]; q < p->first[group[k] + 1]; q++)
@@ -111,11 +111,11 @@ static int group_acts(const direction *d, const int *group) {
     return 0;
 }
 
-/* First sample of the block from which a direction acts on a stage; LANES for never. */
+/* First sample of the block from which a direction acts on a stage; HYSTMPC_BLOCK for never. */
 static int begin_of(const direction *d) {
-    const hystmpc_program *p = &d->s->p;
+    const hystmpc_code *p = &d->s->p;
     const int directions = d->r->directions;
-    int first = LANES;
+    int first = HYSTMPC_BLOCK;
     for (int i = 0; i < p->states; i++)
         if (d->moves[i * directions]) return 0;
     for (int j = 0; j < p->parameters; j++)
@@ -127,7 +127,7 @@ static int begin_of(const direction *d) {
 /* One direction through one stage: from the derivatives of its inputs to those of its outputs and states. */
 static void differentiate_stage(direction *d, int samples) {
     const chain_run *r = d->r;
-    const hystmpc_program *p = &d->s->p;
+    const hystmpc_code *p = &d->s->p;
     const int g = r->abreast, directions = r->directions, begin = begin_of(d);
     real *moving = r->moving + (d->s->place[2] * directions + d->q) * g;
     for (int o = 0; o < p->outputs; o++) r->begins[d->s->wires[p->inputs + o] * directions + d->q] = begin;
@@ -142,7 +142,7 @@ static void differentiate_stage(direction *d, int samples) {
         for (int i = 1; i <= group[0]; i++) d->moves[group[i] * directions] = 1;
     }
     for (int o = 0; o < p->outputs; o++) {
-        real *to = r->by + (d->s->wires[p->inputs + o] * directions + d->q) * STRIDE;
+        real *to = r->by + (d->s->wires[p->inputs + o] * directions + d->q) * CHAIN_STRIDE;
         int adds = 0;
         for (int q = p->first[p->states + o]; q < p->first[p->states + o + 1]; q++)
             if (term_acts(d, p->slope + 3 * q)) adds = add_term(d, p->slope + 3 * q, to, adds);
@@ -169,7 +169,7 @@ static void begin_runs(const chain_run *r, const group_of_runs *c) {
     for (const chain_stage *s = r->stage; s < r->stage + r->stages; s++)
         for (int i = 0; i < s->p.states; i++)
             for (int n = 0; n < g; n++)
-                s->state[i * (STRIDE + g) + n] = c->x[(s->place[2] + i) * c->runs + c->n0 + smaller(n, c->count - 1)];
+                s->state[i * (CHAIN_STRIDE + g) + n] = c->x[(s->place[2] + i) * c->runs + c->n0 + smaller(n, c->count - 1)];
     for (int i = 0; i < r->states; i++)
         for (int q = 0; q < d; q++) {
             r->moves[i * d + q] = 0;
@@ -188,13 +188,13 @@ static void load_block(const chain_run *r, const group_of_runs *c, int t0, int s
         for (int n = 0; n < g; n++) {
             const int k = smaller(n, c->count - 1), from = c->first[k], length = c->first[k + 1] - from;
             for (int t = 0; t < samples; t++)
-                r->signal[j * STRIDE + t * g + n] =
+                r->signal[j * CHAIN_STRIDE + t * g + n] =
                     length > 0 ? c->u[j * c->samples + from + smaller(t0 + t, length - 1)] : R(0.0);
         }
     for (int j = 0; j < r->inputs; j++)
         for (int q = 0; q < d; q++) {
-            real *by = r->by + (j * d + q) * STRIDE;
-            int begin = LANES;
+            real *by = r->by + (j * d + q) * CHAIN_STRIDE;
+            int begin = HYSTMPC_BLOCK;
             if (c->du)
                 for (int n = 0; n < g; n++) {
                     const int k = smaller(n, c->count - 1), from = c->first[k], length = c->first[k + 1] - from;
@@ -215,9 +215,9 @@ static void store_block(const chain_run *r, const group_of_runs *c, int t0, int 
         const int from = c->first[n] + t0, now = smaller(samples, c->first[n + 1] - from);
         for (int o = 0; o < r->outputs; o++) {
             const int shown = r->shown[o];
-            for (int t = 0; t < now; t++) c->y[o * c->samples + from + t] = r->signal[shown * STRIDE + t * g + n];
+            for (int t = 0; t < now; t++) c->y[o * c->samples + from + t] = r->signal[shown * CHAIN_STRIDE + t * g + n];
             for (int q = 0; q < d; q++) {
-                const real *by = r->by + (shown * d + q) * STRIDE + n;
+                const real *by = r->by + (shown * d + q) * CHAIN_STRIDE + n;
                 real *to = c->dy + (o * c->samples + from) * d + q;
                 const int begin = smaller(r->begins[shown * d + q], now > 0 ? now : 0);
                 for (int t = 0; t < begin; t++) to[t * d] = R(0.0);
@@ -228,7 +228,7 @@ static void store_block(const chain_run *r, const group_of_runs *c, int t0, int 
 }
 
 static void differentiate_runs(const chain_run *r, const group_of_runs *c) {
-    const int g = r->abreast, block = LANES / g;
+    const int g = r->abreast, block = HYSTMPC_BLOCK / g;
     int longest = 0;
     begin_runs(r, c);
     for (int n = 0; n < c->count; n++)
@@ -238,7 +238,7 @@ static void differentiate_runs(const chain_run *r, const group_of_runs *c) {
         direction d = {.r = r};
         load_block(r, c, t0, samples);
         for (const chain_stage *s = r->stage; s < r->stage + r->stages; s++) {
-            chain_run_stage(s, g, samples, 1);
+            hystmpc_chain_run_stage(s, g, samples, 1);
             d.s = s;
             for (d.q = 0; d.q < r->directions; d.q++) {
                 d.seeds = c->seeds + s->place[3] * r->directions + d.q;
@@ -247,7 +247,7 @@ static void differentiate_runs(const chain_run *r, const group_of_runs *c) {
             }
         }
         store_block(r, c, t0, samples);
-        for (const chain_stage *s = r->stage; s < r->stage + r->stages; s++) chain_go_on(s, g, samples);
+        for (const chain_stage *s = r->stage; s < r->stage + r->stages; s++) hystmpc_chain_go_on(s, g, samples);
     }
 }
 
@@ -256,30 +256,30 @@ void hystmpc_chain_linearise(const int *chain, const real *kept, const real *x, 
                              real *dy, char *memory) {
     const int first[2] = {0, samples};
     chain_run r;
-    real *at = (real *)(memory + chain_lay_out(&r, chain, 1, samples, memory));
+    real *at = (real *)(memory + hystmpc_chain_lay_out(&r, chain, 1, samples, memory));
     real *const du = at, *const m = du + samples * samples, *const seeds = m + r.states * samples;
     for (int i = 0; i < samples * samples; i++) du[i] = i % (samples + 1) == 0 ? R(1.0) : R(0.0);
     for (int i = 0; i < (r.states + chain[2]) * samples; i++) m[i] = R(0.0);
     const group_of_runs c = {.first = first, .count = 1, .runs = 1, .samples = samples, .u = plan, .du = du,
                              .seeds = seeds, .x = x, .m = m, .y = y, .dy = dy};
-    chain_bind(&r, kept, 1, 0, 1, samples);
+    hystmpc_chain_bind(&r, kept, 1, 0, 1, samples);
     differentiate_runs(&r, &c);
 }
 
 long hystmpc_chain_linearise_bytes(const int *chain, int samples) {
     chain_run r;
-    return chain_lay_out(&r, chain, 1, samples, NULL) + (long)sizeof(real) * samples * (samples + chain[1] + chain[2]) + 64;
+    return hystmpc_chain_lay_out(&r, chain, 1, samples, NULL) + (long)sizeof(real) * samples * (samples + chain[1] + chain[2]) + 64;
 }
 
 void hystmpc_chain_differentiate(const int *chain, const real *kept, int rows, const int *first, const real *u,
                                  const real *du, int directions, const real *seeds, const real *x, const real *m,
                                  real *y, real *dy, char *memory) {
     chain_run r;
-    chain_lay_out(&r, chain, chain_abreast(rows), directions, memory);
+    hystmpc_chain_lay_out(&r, chain, hystmpc_chain_abreast(rows), directions, memory);
     int longest = 0;
     for (int n = 0; n < rows; n++)
         if (first[n + 1] - first[n] > longest) longest = first[n + 1] - first[n];
-    chain_bind(&r, kept, 1, 0, 1, longest);
+    hystmpc_chain_bind(&r, kept, 1, 0, 1, longest);
     for (int n0 = 0; n0 < rows; n0 += r.abreast) {
         const group_of_runs c = {.first = first + n0, .n0 = n0, .count = smaller(r.abreast, rows - n0), .runs = rows,
                                  .samples = first[rows], .u = u, .du = du, .seeds = seeds, .x = x, .m = m, .y = y, .dy = dy};

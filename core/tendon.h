@@ -3,14 +3,15 @@
 #define HYSTMPC_TENDON_H
 
 #include "hystmpc_core.h"
+#include "real.h"
 
 /* Moves the state (N + 5,) on by commands (T,) [mm], each held for dt [s].
  *
  * State: N friction elements [deg], drive [mm], roughness, viscoelastic and creep angle [deg], greatest drive [mm].
  * `widths` (N,) of the elements, `bumps` (T,) standard normal; `numbers` (20,) are the fields of `Tendon` in tendon.c,
  * in their order. Outputs (T,): angle [deg], drive [mm], tension [N]. */
-HYSTMPC_API void hystmpc_tendon(double *state, const double *widths, int count, const double *commands,
-                                const double *bumps, int samples, const double *numbers, double dt, double *angle,
-                                double *drive, double *tension);
+HYSTMPC_API void hystmpc_tendon(real *state, const real *widths, int count, const real *commands,
+                                const real *bumps, int samples, const real *numbers, real dt, real *angle,
+                                real *drive, real *tension);
 
 #endif

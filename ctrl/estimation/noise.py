@@ -10,6 +10,7 @@ from typing import final
 import numpy as np
 
 from hystmpc.core.library import engine
+from hystmpc.core.structs import Struct, struct
 from hystmpc.models.contract.metadata import NoiseModel
 from hystmpc.models.model import Predictor
 from hystmpc.trials.types import Vec
@@ -124,6 +125,17 @@ class NoiseBank:
             "most_gain": self._most,
             "disturbance_limit": self._limit,
         }
+
+    def struct(self) -> Struct:
+        """Return the bank as `hystmpc_noise` of core/estimator.h, axis by axis of its grid."""
+        sizes = dict(zip(("sensors", "drifts", "motions"), self._counts, strict=True))
+        limits = {"switching": self._switching, "most_gain": self._most, "limit": self._limit}
+        return struct("hystmpc_noise", **sizes, **self._tables(), **limits)
+
+    @property
+    def sensor_logs(self) -> Vec:
+        """Logarithms of the filters' sensor variances [log deg^2] (M,)."""
+        return np.asarray(self._logs[0])
 
     def init(self, disturbance: float) -> tuple[Vec, float]:
         """Return the initial bank (3, M) for a disturbance [deg], rows disturbance, variance, weight; its variance."""

@@ -23,6 +23,7 @@ from typing import Any, final
 import numpy as np
 
 from hystmpc.core.library import engine
+from hystmpc.core.structs import Struct, struct
 from hystmpc.trials.types import Vec
 
 from ..command import replace
@@ -243,6 +244,14 @@ class FilterBank:
             "range_span": basis.span,
             "pace": basis.pace,
         }
+
+    def struct(self) -> Struct:
+        """Return the bank as `hystmpc_learner` of core/learning.h."""
+        learner, basis = self._learner, self.basis
+        numbers = {name: getattr(learner, name) for name, *_ in Learner._fields_ if name != "basis"}
+        known = struct("hystmpc_basis", creeps=list(basis.creeps), pace=basis.pace, low=basis.low, span=basis.span)
+        lists = {name: list(value) if isinstance(value, ctypes.Array) else value for name, value in numbers.items()}
+        return struct("hystmpc_learner", basis=known, **lists)
 
     def init(self, angle: float, u: float, y: float) -> BankState:
         """Return the state at rest under the command u, the model at `angle` and the measurement at `y` [deg].

@@ -2,29 +2,29 @@
 
 from __future__ import annotations
 
-import ctypes
 from dataclasses import dataclass
+from functools import cached_property
 from typing import final
 
 import numpy as np
 
-from hystmpc.core.library import engine
-from hystmpc.models.inverse.inverses import Bounds, Follower, follower_for
+from hystmpc.core.structs import Struct, struct
+from hystmpc.models.fronts import EnginePredictor, Front
+from hystmpc.models.inverse.inverses import Follower
 from hystmpc.models.model import Inverse, Predictor, static_gain
 from hystmpc.trials.types import Vec
 
 from ..command import attempt, replace
 from ..estimation.observer import Estimate, EstimatorSettings, Observer, OutputEstimator, usable_angle
 from ..mpc_settings import AdaptationSettings
-from .bank import LEARNED_SIZE, MEMORY, OF_WEIGHTS, BankState, FilterBank
+from .bank import LEARNED_SIZE, OF_WEIGHTS, BankState, FilterBank
 
-_ROUNDS = 2
 _RANGE_DEG = 60.0  # angle over the command range, if the model does not state it [deg]
 _SENSOR_DEG = 0.1  # standard deviation of the sensor, if the model's file does not state it [deg]
 
 
 @final
-class LearnedPredictor(Predictor):
+class LearnedPredictor(EnginePredictor):
     """Model with a learned part: theta = m + w_c (m - m_0) + sum_i w_i f_i, see `bank`; constant weights.
 
     The state is the model's, then the learned part's (LEARNED_SIZE,).
@@ -38,6 +38,19 @@ class LearnedPredictor(Predictor):
         self._settings, self._span = settings, high - low
         self._bank = self.filters(0)
 
+    @property
+    def state_size(self) -> int:
+        return self.model.state_size + LEARNED_SIZE
+
+    @property
+    def whole(self) -> Struct:
+        return self.behind(None)
+
+    def behind(self, inverse: Inverse | None) -> Struct:
+        """`hystmpc_model` of model and learned part, with an inverse of the model alone."""
+        inverted = None if inverse is None else inverse.part
+        return struct("hystmpc_model", predictor=self.model.part, inverse=inverted, learner=self._bank.struct())
+
     def filters(self, delay: int) -> FilterBank:
         """Build the bank that learns the weights, behind `delay` samples of delay that the model does not have."""
         sensor = _SENSOR_DEG if self.noise is None else self.noise.sensor_sigma_deg
@@ -48,33 +61,9 @@ class LearnedPredictor(Predictor):
         _, part = self._bank.acting(self._bank.init(y, u, y), (y,))
         return np.concatenate([self.model.initial(y, u), part])
 
-    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
-        angle, below = self.model.advance(self.below(state), u)
-        after = np.concatenate([below, state[state.size - LEARNED_SIZE :]])
-        angle = engine().part_advance(ctypes.byref(self._bank.basis), after[below.size :], u, angle)
-        return angle, after
-
-    def rollout(self, state: Vec, plans: Vec) -> Vec:
-        return self._added(state, plans, np.ascontiguousarray(self.model.rollout(self.below(state), plans)))
-
     def learned(self, state: Vec, plans: Vec) -> Vec:
         """Learned part (N, H) of the angles [deg] along the plans (N, H)."""
-        model = self.model.rollout(self.below(state), plans)
-        return self._added(state, plans, model.copy()) - model
-
-    def _added(self, state: Vec, plans: Vec, angles: Vec) -> Vec:
-        """Add the learned part to the model's angles (N, H) along plans (N, H), in place."""
-        part, plans = state[state.size - LEARNED_SIZE :], np.ascontiguousarray(plans)
-        engine().part_run(ctypes.byref(self._bank.basis), part, plans, *plans.shape, angles)
-        return angles
-
-    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
-        angles, jacobian = self.model.linearise(self.below(state), plan)
-        part, plan, horizon = state[state.size - LEARNED_SIZE :], np.ascontiguousarray(plan), plan.size
-        block = np.empty((1 + horizon + MEMORY + 2, horizon))  # angles, jacobian, room for work
-        block[0], block[1 : horizon + 1] = angles, jacobian
-        engine().part_linearise(ctypes.byref(self._bank.basis), part, plan, horizon, block)
-        return block[0], block[1 : horizon + 1]
+        return self.rollout(state, plans) - self.model.rollout(self.below(state), plans)
 
     def below(self, state: Vec) -> Vec:
         """State of the model without the learned part."""
@@ -92,11 +81,12 @@ class LearnedInverse(Inverse):
     def __init__(self, predictor: LearnedPredictor, inverse: Inverse) -> None:
         self.predictor, self.inverse = predictor, inverse
 
+    @cached_property
+    def _front(self) -> Front:
+        return Front(self.predictor.behind(self.inverse))
+
     def command(self, state: Vec, theta: float, u_last: float) -> float:
-        if not self.predictor.weights(state).any():
-            return self.inverse.command(self.predictor.below(state), theta, u_last)
-        added = float(self.predictor.learned(state, np.full((1, 1), u_last))[0, 0])
-        return self.inverse.command(self.predictor.below(state), theta - added, u_last)
+        return self._front.command(state, theta, u_last)
 
 
 @final
@@ -104,20 +94,7 @@ class LearnedFollower(Follower):
     """Fixed-point inverse along a preview: the model's inverse follows the angles minus the learned part."""
 
     def __init__(self, inverse: LearnedInverse) -> None:
-        self._predictor = inverse.predictor
-        self._inner = follower_for(inverse.predictor.model, inverse.inverse)
-
-    def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
-        predictor = self._predictor
-        below = predictor.below(state)
-        if not predictor.weights(state).any():
-            return self._inner.follow(below, wanted, u_last, bounds)
-        held = np.full((1, wanted.size), u_last)
-        targets = self._inner.follow(below, wanted - predictor.learned(state, held)[0], u_last, bounds)
-        for _ in range(_ROUNDS):
-            plan = targets[1:]
-            targets = self._inner.follow(below, wanted - predictor.learned(state, plan)[0], u_last, bounds)
-        return targets
+        super().__init__(inverse.predictor.behind(inverse.inverse))
 
 
 @dataclass(frozen=True, eq=False)

@@ -159,7 +159,7 @@ def test_equal_readings_are_no_better_than_their_steps(step: float) -> None:
     model = Backlash()
     object.__setattr__(model, "noise", noise_of(step))
     bank = NoiseBank((None, None, None), model, 90.0)
-    assert float(np.min(np.asarray(bank.numbers()["sensor_variances"]))) >= step**2 / 12.0 * (1.0 - 1e-9)
+    assert float(np.min(np.asarray(bank.struct().fields["sensor_variances"]))) >= step**2 / 12.0 * (1.0 - 1e-9)
 
 
 @given(steps_deg, st.floats(0.0, 2.0))

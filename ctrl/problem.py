@@ -1,0 +1,333 @@
+"""The problem that the engine's controller is given: model, sensor, law and limits as structs of core/controller.h."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hystmpc.core.structs import Struct, constants, struct
+from hystmpc.models.inverse.drive import DrivenInverse
+from hystmpc.models.inverse.inverses import inverted_after_a_hold
+from hystmpc.models.model import Inverse, Predictor, static_gain
+from hystmpc.trials.errors import ControllerError
+
+from .command import CommandLimits, attempt, narrowed_limits
+from .config import AnyControllerSettings
+from .estimation.observer import Observer
+from .feedback import (
+    REFERENCE_DEAD_ZONE_DEG,
+    FeedforwardSettings,
+    InversePidControllerSettings,
+    PidControllerSettings,
+    PidSettings,
+    feedback_gains,
+)
+from .law import LawPart, LawSettings
+from .law_tables import MoveBlocking
+from .learning.predictor import LearnedInverse, LearnedPredictor
+from .mpc_settings import HoldSettings, LinearisedMpcSettings, PredictiveSettings, SamplingMpcSettings, WeightsSettings
+
+CHANGES = 1000
+"""Greatest number of changes of the active set in one program, which limits the time of its solution."""
+_FOLLOWING, _STEPS = 5, 8  # candidates before those that only search; small steps either way
+_REFINED = 2  # iterations from a plan that is late along a motion
+_LEAVE_SIGMAS = 5.0  # the difference of two independent estimates of one disturbance exceeds this once in 10^4 samples
+_LEAST, _KEPT = 0.05, 0.3  # least share of a direction in the noise; of the elites that take part again
+
+# Of the inverse over a preview: weights on moves, at the sample time of the paper.
+_RATE_WEIGHT = 0.01  # at 25 Hz [deg^2 per squared command unit]: negligible against an angle error
+_STEADY_RATE_WEIGHT = 3.0  # for models whose exact inverse oscillates: the weight on moves suppresses it
+_BASE_DT_S = 0.04
+_INVERSE_ITERATIONS = 2
+
+_WORD = 2**64
+
+
+def problem_of(
+    settings: AnyControllerSettings | LawSettings,
+    predictor: Predictor,
+    inverse: Inverse,
+    limits: CommandLimits,
+    *,
+    observer: Observer | None = None,
+    law: LawPart | None = None,
+    solve: Callable[..., int] | None = None,
+) -> Struct:
+    """Return the `hystmpc_problem` of the controller that `settings` describe.
+
+    Args:
+        settings: of any kind.
+        predictor, inverse: of the model, with or without a learned part.
+        limits: hard limits of the device; `settings.limits` may narrow them.
+        observer: of state and disturbance; that of the settings where left out.
+        law: one that is written in Python.
+        solve: solution of quadratic programs in Python, see `hystmpc_planner`.
+
+    Raises:
+        ControllerError: if the settings contradict each other or go beyond the device's limits.
+    """
+    settings = settings.resolved()
+    limits, ladder = narrowed_limits(limits, settings.limits), settings.ladder
+    if ladder.safe_command is not None and not limits.lower <= ladder.safe_command <= limits.upper:
+        raise ControllerError(
+            f"ladder: got safe_command {ladder.safe_command}, expected one within {limits.lower} to {limits.upper}"
+        )
+    dt, missing = predictor.dt, settings.bridged_samples(predictor.dt)
+    if not (math.isfinite(dt) and dt > 0) or missing < 0:
+        raise ControllerError(f"controller: got dt {dt}, max_missing_samples {missing}, expected > 0 s and >= 0")
+    device = _Device(predictor, inverse, limits, dt)
+    observer = observer or settings.estimator.observer(device.known)
+    return struct(
+        "hystmpc_problem",
+        dt_s=dt,
+        lower=limits.lower,
+        upper=limits.upper,
+        reach=limits.rate * dt,
+        safe=math.nan if ladder.safe_command is None else ladder.safe_command,
+        stop_after=ladder.stop_after_failures,
+        most_missing=missing,
+        falls_back_on_inverse=settings.falls_back_on_inverse,
+        model=_model(settings, device) if observer.has_model else None,
+        sensing=observer.part,
+        law=_law(settings, device, solve) if law is None else outside_law(law),
+    )
+
+
+def outside_law(law: LawPart) -> Struct:
+    """Return the `hystmpc_control_law` of a law that is written in Python."""
+    return struct("hystmpc_control_law", kind=constants()["HYSTMPC_PROPOSED"], horizon=law.law.horizon, propose=law)
+
+
+@dataclass(frozen=True, eq=False)
+class _Device:
+    """Model and hard limits of a controller; `known` and `inverted` are the model's own, without a learned part."""
+
+    predictor: Predictor
+    inverse: Inverse
+    limits: CommandLimits
+    dt: float
+
+    @property
+    def known(self) -> Predictor:
+        return self.predictor.model if isinstance(self.predictor, LearnedPredictor) else self.predictor
+
+    @property
+    def inverted(self) -> Inverse:
+        return self.inverse.inverse if isinstance(self.inverse, LearnedInverse) else self.inverse
+
+    @property
+    def reach(self) -> float:
+        return self.limits.rate * self.dt
+
+    @property
+    def slope(self) -> float:
+        """Static gain [deg per command unit]; 0 where the model fails, as one may where no plan ever is."""
+        return attempt(lambda: static_gain(self.known))[0] or 0.0
+
+
+def _model(settings: LawSettings, device: _Device) -> Struct:
+    learned, learner = device.predictor, None
+    if isinstance(settings, PredictiveSettings) and settings.adaptation is not None:
+        if not isinstance(learned, LearnedPredictor):
+            learned = LearnedPredictor(learned, settings.adaptation)
+        learner = learned.filters(settings.estimator.delay_samples).struct()
+    return struct("hystmpc_model", predictor=device.known.part, inverse=device.inverted.part, learner=learner)
+
+
+def _law(settings: LawSettings, device: _Device, solve: Callable[..., int] | None) -> Struct:
+    if isinstance(settings, PredictiveSettings):
+        return _predictive(settings, device, solve)
+    kinds = constants()
+    if isinstance(settings, PidControllerSettings):
+        gains = _gains(settings.gains, device.dt)
+        return struct("hystmpc_control_law", kind=kinds["HYSTMPC_PID"], horizon=1, gains=gains)
+    if not isinstance(settings, FeedforwardSettings):
+        raise ControllerError(f"controller: got {type(settings).__name__}, expected a class with a method `law`")
+    fed_back = isinstance(settings, InversePidControllerSettings)
+    late = isinstance(device.inverted, DrivenInverse) or inverted_after_a_hold(device.inverted)
+    horizon = settings.preview if late else 1
+    return struct(
+        "hystmpc_control_law",
+        kind=kinds["HYSTMPC_FEEDFORWARD_PID" if fed_back else "HYSTMPC_FEEDFORWARD"],
+        horizon=horizon,
+        planner=_preview(device, horizon) if late else None,
+        candidates=candidates_over(horizon),
+        angle_low=-math.inf,
+        angle_high=math.inf,
+        gains=_gains(settings.gains, device.dt) if isinstance(settings, InversePidControllerSettings) else None,
+        dead_zone=settings.reference_dead_zone_deg,
+    )
+
+
+def _predictive(settings: PredictiveSettings, device: _Device, solve: Callable[..., int] | None) -> Struct:
+    horizon, supervisor = settings.preview_samples(device.dt), settings.supervisor
+    low, high = settings.weights.angle_limits_deg
+    more: dict[str, Any] = {}
+    if supervisor is not None:
+        more = {
+            "supervised": 1,
+            "inverse_pid_above": supervisor.inverse_pid_above,
+            "pid_above": supervisor.pid_above,
+            "gains": _gains(feedback_gains(supervisor, device.known), device.dt),
+            "dead_zone": REFERENCE_DEAD_ZONE_DEG,
+        }
+    return struct(
+        "hystmpc_control_law",
+        kind=constants()["HYSTMPC_PREDICTIVE"],
+        horizon=horizon,
+        planner=_planner(settings, device, horizon, solve),
+        candidates=candidates_over(horizon),
+        angle_low=low,
+        angle_high=high,
+        slope=device.slope,
+        hold=_hold(settings.hold, device),
+        **more,
+    )
+
+
+def candidates_over(horizon: int) -> int:
+    """Return the greatest number of candidate plans over a horizon: five, reversals and small steps either way."""
+    lengths = [2**i for i in range(1, horizon.bit_length()) if 2**i <= max(horizon // 2, 2)]
+    return _FOLLOWING + 2 * (len(lengths) + _STEPS)
+
+
+def _hold(settings: HoldSettings, device: _Device) -> Struct:
+    """A command that acts later has to start that much earlier; the lead counts from there."""
+    dt, noise = device.dt, device.known.noise
+    delay = device.inverted.delay_samples if isinstance(device.inverted, DrivenInverse) else 0
+    return struct(
+        "hystmpc_hold",
+        tolerance=settings.tolerance_deg,
+        step=noise.sensor_resolution_deg if noise else 0.0,
+        sigmas=_LEAVE_SIGMAS,
+        patience=max(round(settings.patience_s / dt), 1),
+        lead=delay + max(round(settings.lead_s / dt), 1),
+        settle_after=round(settings.settle_after_s / dt),
+        settle=round(settings.settle_s / dt),
+    )
+
+
+def _gains(gains: PidSettings, dt: float) -> Struct:
+    if gains.tracking_s < dt:
+        raise ControllerError(f"pid: got tracking_s {gains.tracking_s}, expected at least the sample time {dt} s")
+    return struct(
+        "hystmpc_gains",
+        kp=gains.kp_per_deg,
+        ki=gains.ki_per_deg_s,
+        kd=gains.kd_s_per_deg,
+        filter_s=gains.filter_s,
+        tracking_s=gains.tracking_s,
+        dead_zone=gains.dead_zone_deg,
+    )
+
+
+def iterations_of(settings: PredictiveSettings, inverse: Inverse) -> int:
+    """Return the planner's iterations per step: at least two for a first-guess inverse, see `steady_inverse`."""
+    first_guess = inverted_after_a_hold(inverse.inverse if isinstance(inverse, LearnedInverse) else inverse)
+    return max(settings.iterations, _REFINED) if first_guess else settings.iterations
+
+
+def _planner(settings: PredictiveSettings, device: _Device, horizon: int, solve: Callable[..., int] | None) -> Struct:
+    kinds, blocks, kind, sampling = constants(), None, "HYSTMPC_LINEARISED", None
+    if isinstance(settings, LinearisedMpcSettings):
+        blocks = settings.blocks(device.dt)
+        kind = "HYSTMPC_LINEARISED" if settings.solver == "active_set" else "HYSTMPC_SOLVED"
+    else:
+        assert isinstance(settings, SamplingMpcSettings)
+        kind = "HYSTMPC_CROSS_ENTROPY" if settings.method == "cem" else "HYSTMPC_PATH_INTEGRAL"
+        sampling = _sampling(settings, device, horizon)
+    return struct(
+        "hystmpc_planner",
+        kind=kinds[kind],
+        iterations=iterations_of(settings, device.inverted),
+        changes=CHANGES,
+        law=law_over(settings.weights, horizon, device.limits, device.dt, blocks),
+        sampling=sampling,
+        solve=solve,
+    )
+
+
+def _preview(device: _Device, horizon: int) -> Struct:
+    """Inverse over a preview: argmin over admissible u of sum_k (theta_k(u) - r_k)^2, with a small weight on moves.
+
+    It is the problem of the linearised controller without a disturbance. An inverse sample by sample would send u = v +
+    (w - v) / a to a lag with step response a < 1, which amplifies every deviation; a delay has no such inverse.
+    """
+    rate = _STEADY_RATE_WEIGHT if inverted_after_a_hold(device.inverted) else _RATE_WEIGHT
+    weights = WeightsSettings(terminal=1.0, rate=rate * (_BASE_DT_S / device.dt) ** 2, effort=0.0)
+    return struct(
+        "hystmpc_planner",
+        kind=constants()["HYSTMPC_LINEARISED"],
+        iterations=_INVERSE_ITERATIONS,
+        changes=CHANGES,
+        law=law_over(weights, horizon, device.limits, device.dt),
+    )
+
+
+def law_over(
+    weights: WeightsSettings, horizon: int, limits: CommandLimits, dt: float, blocks: tuple[int, ...] | None = None
+) -> Struct:
+    """Return the `hystmpc_law` of weights over a horizon.
+
+    Args:
+        blocks: samples of each block of moves, see `MoveBlocking`; None if every sample may move.
+
+    Raises:
+        ControllerError: if the blocks do not fit the horizon, or the angle limits cross.
+    """
+    starts = ends = np.arange(horizon)
+    tables: dict[str, Any] = {}
+    if blocks is not None:
+        blocking = MoveBlocking(blocks, horizon)
+        starts, ends = blocking.starts, blocking.ends
+        tables = {"blocking": blocking.matrix, "constant": blocking.constant(weights)}
+    soft = weights.limits_angle
+    return struct(
+        "hystmpc_law",
+        horizon=horizon,
+        moves=starts.size,
+        blocked=blocks is not None,
+        soft=soft,
+        lower=limits.lower,
+        upper=limits.upper,
+        reach=limits.rate * dt,
+        rate_weight=weights.rate,
+        effort_weight=weights.effort,
+        soft_weight=weights.soft_limit if soft else 0.0,
+        tracking=weights.over(horizon),
+        starts=starts,
+        ends=ends,
+        **tables,
+    )
+
+
+def _sampling(settings: SamplingMpcSettings, device: _Device, horizon: int) -> Struct:
+    """Distribution of smooth random plans in blocked moves, u = p + sigma M F w, from as few normals as blocks."""
+    blocks, samples = settings.blocks(device.dt), settings.samples
+    blocking = MoveBlocking(blocks, horizon)
+    left, sizes, _ = np.linalg.svd(settings.noise.matrix(horizon)[blocking.ends])
+    strengths = np.full(len(left), _LEAST * sizes[0])
+    strengths[: sizes.size] = np.maximum(sizes, strengths[: sizes.size])
+    factor = left * strengths
+    sigma = settings.deviation(device.reach)
+    elites = min(max(2, math.ceil(settings.elites * samples)), samples)
+    single = len(blocks) == horizon
+    return struct(
+        "hystmpc_sampling",
+        samples=samples,
+        size=len(blocks),
+        elites=elites,
+        kept=math.ceil(_KEPT * elites),
+        seed=[settings.seed % _WORD, settings.seed // _WORD % _WORD],
+        temperature=settings.temperature,
+        sigma=sigma,
+        least_sigma=settings.finest * sigma,
+        sigmas=sigma * np.geomspace(1.0, settings.finest, samples),
+        shape=(blocking.matrix @ factor).T,
+        whitening=np.linalg.inv(factor).T,
+        fitted=law_over(settings.weights, horizon, device.limits, device.dt, None if single else blocks),
+    )
