@@ -82,8 +82,8 @@ typedef struct {
 /* Room for a run with this controller. */
 HYSTMPC_API long hystmpc_loop_room_bytes(const void *problem);
 
-/* Take samples with a controller's memory until one is not as expected; its reason. `asked`: an int, set by whoever wants
- * the loop to end. */
+/* Take samples with a controller's memory until one is not as expected; its reason. `asked`: an int, not zero once
+ * anybody wants the loop to end. */
 HYSTMPC_API int hystmpc_loop_run(void *loop, const void *problem, char *memory, char *room, const void *asked);
 
 /* How many samples are written down, whole. */
