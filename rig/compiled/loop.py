@@ -1,4 +1,4 @@
-"""Controller and control loop compiled from C (`realtime.backend: c`); Python reads the results of each sample."""
+"""Control loop in C (`realtime.backend: c`), core/loop.h; Python reads the results of each sample."""
 
 from __future__ import annotations
 
@@ -7,23 +7,18 @@ import os
 import sys
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import contextmanager
-from importlib import resources
-from pathlib import Path
 from threading import Thread
 from typing import Any, final
 
 import numpy as np
 
-from hystmpc.codegen.controller import ControllerExport, export_controller
-from hystmpc.codegen.layout import structs
-from hystmpc.codegen.library import LoadedController, controller_library
-from hystmpc.ctrl.command import EMPTY, Command, Source, Stopwatch, Timing
-from hystmpc.ctrl.estimation.observer import Estimate, usable_angle
-from hystmpc.ctrl.feedback import LEVELS
-from hystmpc.ctrl.guarded import GuardedController, GuardedState, UnusableReferenceError, usable_reference
-from hystmpc.ctrl.planner.memory import PlannersController
-from hystmpc.ctrl.planner.settings import TipSettings
-from hystmpc.trials.errors import ConfigError, ControllerError, ExportError
+from hystmpc.core.library import engine
+from hystmpc.core.structs import Struct, constants, fields_of, layout
+from hystmpc.ctrl.answers import SOURCES, status_words
+from hystmpc.ctrl.command import EMPTY, Command, Timing, replace
+from hystmpc.ctrl.estimation.observer import ANGLE_BOUND_DEG
+from hystmpc.ctrl.guarded import GuardedController, GuardedState
+from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
 from ..safety.gate import Gate
@@ -31,272 +26,30 @@ from ..safety.intake import Intake
 from ..safety.stop import StopFlag
 from ..transports.transport import Transport
 
-# In the order of the header's HYSTMPC_MPC ... HYSTMPC_STOP.
-_SOURCES = (Source.MPC, Source.CONTROLLER, Source.SHIFTED_PLAN, Source.INVERSE, Source.HOLD, Source.STOP)
-_FEEDBACK = 1
-_CHECKED, _SAME = 24, 1e-6  # compared steps; tolerance [mm or bar]
-_SWING_DEG = 4.0
-_ODD = {7: np.nan, 8: np.nan, 15: 1e9}  # invalid angles in the check [deg]
-
-# By the header's HYSTMPC_OK ... HYSTMPC_NO_TIME; `{...}` are filled in.
-_REASONS = (
-    "ok",
-    "latched {cause}",
-    "{reference}",
-    "no usable measurement for {missing} samples",
-    "the model state is {stalled} samples old",
-    "PlanningError: prediction, Jacobian or quadratic program is not finite",
-    "PlanningError: the quadratic program was not solved",
-    "the law answers no finite command",
-    "NoTimeError: {refusal}",
-)
-
-
-def compiled_controller(
-    controller: GuardedController[Any], settings: TipSettings, spin_s: float = 0.0
-) -> CompiledController:
-    """Export the controller of the settings as C, compile it and compare it with the Python controller.
-
-    Args:
-        spin_s: as `RealtimeSettings.spin_s`.
-
-    Raises:
-        ConfigError: if a part of the controller has no C export, there is no compiler, the compiler fails, or the
-            compiled controller answers otherwise than the Python one.
-    """
-    try:
-        export = export_controller(settings)
-        loop_source = source() if available() else ""
-        fixed = {
-            "spin_ns": round(1e9 * spin_s),
-            "stop_after": settings.controller.resolved().ladder.stop_after_failures,
-        }
-        compiled = CompiledController(controller, export, controller_library(export, loop_source), fixed)
-    except (ExportError, OSError) as error:
-        reason = str(error).removeprefix("export-c: ")
-        raise ConfigError(f"realtime.backend c: {reason}; backend: python needs nothing") from None
-    if differs := _difference(controller, compiled):
-        raise ConfigError(f"realtime.backend c: {differs}; expected another compiler or CC, or backend: python")
-    return compiled
-
-
-def _difference(python: GuardedController[Any], compiled: CompiledController) -> str:
-    """First difference between the Python and the C controller over some steps from rest; empty if they agree."""
-    low = python.limits.lower
-    rest = python.init(0.0, low).estimate.angles[0]
-    states: list[Any] = [controller.init(rest, low) for controller in (python, compiled)]
-    y, preview = rest, np.arange(python.horizon)
-    for k in range(_CHECKED):
-        wanted = rest + _SWING_DEG * (1.0 - np.cos(2.0 * np.pi * (k + preview) / _CHECKED))
-        measured = _ODD.get(k, y)
-        commands = []
-        for j, controller in enumerate((python, compiled)):
-            command, states[j] = controller.step(states[j], measured, wanted)
-            commands.append(command)
-        one, other = commands
-        if not abs(one.u - other.u) <= _SAME or one.source is not other.source:
-            return f"in step {k} of its check it sends {other.u} ({other.source}), Python {one.u} ({one.source})"
-        y = float(one.predicted[0]) if one.predicted.size else y
-    return ""
-
-
-@final
-class CompiledController(PlannersController):
-    """Controller compiled from C, with the commands, sources and status lines of the Python controller.
-
-    States are snapshots. The estimate contains only the parts that the rig reads: present angle, disturbance, learned
-    part, counts. Of the plan only the first angle is available. `refusal` is the reason for which the next steps have
-    no time for a plan, as in `TimelyLaw`.
-
-    Args:
-        python: the same controller in Python; it judges whether the start makes sense.
-        library: the compiled export, with the loop where the system supports it.
-
-    Attributes:
-        loop: steps this controller in C; None on a system without its functions.
-    """
-
-    def __init__(
-        self, python: GuardedController[Any], export: ControllerExport, library: Path, fixed: Mapping[str, float]
-    ) -> None:
-        self._python, self._export, self._library = python, export, library
-        self._loaded = LoadedController(export, library)
-        self._learns = hasattr(self._loaded.view, "learning")
-        self._newest = b""  # memory of the loaded controller
-        self._unusable = np.full(self.horizon, np.nan)
-        self.refusal = ""
-        self.loop: CompiledLoop | None = None
-        if available():
-            self.loop = CompiledLoop(library, self._loaded.address, self.horizon, {**fixed, "dt_s": self.dt})
-
-    @property
-    def dt(self) -> float:
-        return self._python.dt
-
-    @property
-    def horizon(self) -> int:
-        return self._export.reference_samples
-
-    def init(self, y: float, u: float) -> GuardedState[bytes]:
-        return self._state(self._begun(y, u), FallbackState())
-
-    def replay(self, commands: Vec, angles: Vec) -> GuardedState[bytes]:
-        """State after a recording, see `GuardedController.replay`; another thread may step meanwhile.
-
-        Raises:
-            ControllerError: as `GuardedController.replay`.
-        """
-        first = int(self._python.usable_in(commands, angles)[0])
-        replayed = self._begun(float(angles[first]), float(commands[max(first - 1, 0)]))
-        for y, u in zip(angles[first:].tolist(), commands[first:].tolist(), strict=True):
-            if replayed.look_on(y, u):
-                raise ControllerError(f"replay: the model fails at command {u}")
-        return self._state(replayed, FallbackState())
-
-    def sigma_deg(self, state: GuardedState[Any]) -> float:
-        return self._python.sigma_deg(state)
-
-    def sigma_ahead_deg(self, state: GuardedState[Any], commands: Vec) -> Vec:
-        """Always not-a-number, since the noise estimates stay in the memory of the C code."""
-        del state
-        return np.full(commands.size, np.nan)
-
-    def measure(self, state: GuardedState[Any], y: float, age: float) -> GuardedState[Any]:
-        """Always an error: frames of an intermittent sensor are not supported in C.
-
-        Raises:
-            ControllerError: always.
-        """
-        return self._python.measure(state, y, age)
-
-    def stop(self, state: GuardedState[Any], cause: str) -> GuardedState[Any]:
-        return self._python.stop(state, cause)
-
-    def step(self, state: GuardedState[bytes], y: float, reference: Vec) -> tuple[Command, GuardedState[bytes]]:
-        """Execute one sample; any `y` and any `reference` are answered."""
-        watch = Stopwatch()
-        try:
-            wanted, fault = usable_reference(reference, self.horizon), ""
-        except UnusableReferenceError as error:
-            wanted, fault = self._unusable, str(error)
-        c = self._loaded
-        self.take_up(state)
-        if self.refusal:
-            c.hurry()
-        answer = c.step(usable_angle(y), np.ascontiguousarray(wanted))
-        after = self.after(state.fallback.cause)
-        watch.lap("law")
-        view = c.view
-        status = _line(
-            answer,
-            after.estimate.stalled,
-            view.feedback.level if answer.source == _FEEDBACK else 0,
-            view.learning.filters.forecast_error if answer.source == _FEEDBACK else 0.0,
-            cause=state.fallback.cause,
-            reference=fault,
-            stalled=state.estimate.stalled,
-            refusal=self.refusal,
-        )
-        return _command(answer.u, answer, status, watch.stages), after
-
-    def taken(self, sample: Any, stalled: int, refusal: str) -> Command:
-        """Return the command of a sample that the loop in C has executed.
-
-        Args:
-            stalled: age of the model state before it [samples].
-            refusal: reason for which there was no time for a plan, empty otherwise.
-        """
-        status = _line(sample, sample.stalled, sample.level, sample.forecast_error, stalled=stalled, refusal=refusal)
-        return _command(sample.wanted, sample, status, {"law": 1e-9 * sample.step_ns})
-
-    def after(self, cause: str = "") -> GuardedState[bytes]:
-        """State after the last step; `cause` is the cause of a latched stop."""
-        view = self._loaded.view
-        after = self._state(self._loaded, FallbackState(view.failures, bool(view.stopped), cause=cause))
-        self._newest = after.memory
-        return after
-
-    def take_up(self, state: GuardedState[bytes]) -> None:
-        """Load `state` into the memory of the C code."""
-        c = self._loaded
-        if state.memory is not self._newest:
-            c.remember(state.memory)
-        if state.estimate.command != c.view.estimate.command:
-            c.hold(state.estimate.command)
-        if state.fallback.stopped and not c.view.stopped:
-            c.stop()
-
-    def _begun(self, y: float, u: float) -> LoadedController:
-        self._python.init(y, u)
-        begun = LoadedController(self._export, self._library)
-        if refused := begun.init(y, u):
-            raise ControllerError(f"controller: the C cannot start at {y} deg, command {u}: answer {refused}")
-        return begun
-
-    def _state(self, c: LoadedController, fallback: FallbackState) -> GuardedState[bytes]:
-        e = c.view.estimate
-        added = c.view.learning.added[0] if self._learns else 0.0
-        seen = Estimate(
-            EMPTY,
-            e.command,
-            (e.angles[0],),
-            (True,),
-            (0.0,),
-            e.disturbance,
-            e.variance,
-            e.measured,
-            e.missing,
-            e.stalled,
-            added,
-        )
-        return GuardedState(seen, c.memory, fallback, c.view.due)
-
-
-def _line(
-    answer: Any,
-    stalled_after: int,
-    level: int,
-    forecast_error: float,
-    *,
-    cause: str = "",
-    reference: str = "",
-    stalled: int = 0,
-    refusal: str = "",
-) -> str:
-    """Status line for an answer of the C code, in the form of `GuardedController`."""
-    notes = []
-    if answer.status:
-        reason = _REASONS[answer.status].format(
-            cause=cause, reference=reference, missing=answer.missing, stalled=stalled, refusal=refusal
-        )
-        notes.append(f"stopped: {reason}" if _SOURCES[answer.source] is Source.STOP else reason)
-    elif answer.source == _FEEDBACK:
-        notes.append(f"{LEVELS[level]}: forecasts are off by {100 * forecast_error:.0f} % of the motion")
-    if answer.missing:
-        notes.append(f"measurement missing or outlying for {answer.missing} samples, predicted")
-    if stalled_after:
-        notes.append("model state not advanced: the model fails")
-    return "; ".join(notes) or "ok"
-
-
-def _command(u: float, answer: Any, status: str, stages: Mapping[str, float]) -> Command:
-    predicted = np.array((answer.predicted_deg,))
-    return Command(u, _SOURCES[answer.source], status, EMPTY, predicted, answer.departure_deg, Timing(stages))
-
-
-_SIZES = {"READINGS": 4, "SAMPLES": 256, "REFERENCES": 4096, "RECENT": 128}
-# By the names ASKED ... UNSENT of loop.c.
-_ENDINGS = (
-    "not begun",
-    "asked",
-    "the loop stood still",
-    "Python did not keep up",
-    "no further reference",
-    "reading",
-    "motion or held command",
-    "controller",
-    "command not sent",
-)
+_CODES = constants()
+_SAMPLES, _REFERENCES, _RECENT = (_CODES[f"HYSTMPC_{name}"] for name in ("SAMPLES", "REFERENCES", "RECENT"))
+_FEEDBACK = _CODES["HYSTMPC_FEEDBACK"]
+_ENDINGS = {0: "not begun"} | {
+    _CODES[f"HYSTMPC_LOOP_{name}"]: words
+    for name, words in {
+        "ASKED": "asked",
+        "STOOD": "the loop stood still",
+        "UNWATCHED": "Python did not keep up",
+        "UNFED": "no further reference",
+        "ODD": "reading",
+        "STRAYED": "motion or held command",
+        "FAILING": "controller",
+        "UNSENT": "command not sent",
+        "ABSENT": "no loop in C on this system",
+    }.items()
+}
+# Structs with functions written in Python, which a loop in C cannot wait for.
+_WRITTEN = {
+    "hystmpc_control_law": "a law",
+    "hystmpc_planner": "a solver of quadratic programs",
+    "hystmpc_outside": "a model or an inverse",
+    "hystmpc_observer_outside": "an observer",
+}
 _WATCH_S = 0.002  # polling period of the samples done in C
 _BEHIND_S = 0.05  # greatest delay of Python
 _AHEAD_S, _MOST_AHEAD = 0.25, 2048  # extent of the known reference: time, samples beyond the preview
@@ -307,47 +60,81 @@ def available() -> bool:
     return sys.platform in ("linux", "darwin")
 
 
-def source() -> str:
-    """C source of the loop, which calls the exported controller."""
-    sizes = "".join(f"#define {name} {size}\n" for name, size in _SIZES.items())
-    return sizes + resources.files("hystmpc.rig.compiled").joinpath("loop.c").read_text(encoding="utf-8")
+def compiled_loop(controller: GuardedController, spin_s: float = 0.0) -> CompiledLoop | None:
+    """Return the loop in C for a controller; None on a system without one.
+
+    Args:
+        spin_s: as `RealtimeSettings.spin_s`.
+
+    Raises:
+        ConfigError: if a part of the controller is written in Python, or its preview is too long.
+    """
+    if part := _written_in(controller.problem):
+        raise ConfigError(
+            f"realtime.backend c: got {part} written in Python, expected all of its parts to be the engine's; "
+            "backend: python takes this one"
+        )
+    if controller.horizon > _REFERENCES - _MOST_AHEAD:
+        most = _REFERENCES - _MOST_AHEAD
+        raise ConfigError(f"realtime.backend c: got a preview of {controller.horizon} samples, expected at most {most}")
+    return CompiledLoop(controller, spin_s) if available() else None
+
+
+def _written_in(part: Struct) -> str:
+    """What of a controller is written in Python; empty if nothing."""
+    for field in fields_of(part.name):
+        value = part.fields.get(field.name)
+        if value is not None and field.arguments is not None:
+            return _WRITTEN.get(part.name, part.name)
+        if isinstance(value, Struct) and (found := _written_in(value)):
+            return found
+    return ""
 
 
 @final
 class CompiledLoop:
-    """Control loop in C on the memory of a compiled controller; its thread never waits for the interpreter.
+    """Control loop in C on the memory of a controller; its thread never waits for the interpreter.
 
-    `view` is the struct `hystmpc_loop` of loop.c. A sample is written whole before it is counted, and its place is
+    `view` is the struct `hystmpc_loop` of core/loop.h. A sample is written whole before it is counted, and its place is
     reused only after Python has read it.
 
     Args:
-        library: the controller's, compiled with `source()`.
-        controller: address of the struct that is stepped.
-        preview: reference samples of a step.
+        controller: whose problem is stepped.
+        spin_s: how long before a deadline sleeping ends and spinning begins [s].
     """
 
-    def __init__(self, library: Path, controller: int, preview: int, fixed: Mapping[str, float | int]) -> None:
-        kind = structs(source(), _SIZES, ctypes.c_double)["hystmpc_loop"]
-        functions = ctypes.CDLL(str(library))  # its calls release the interpreter's lock
-        self._run, self._written, size = (functions[f"hystmpc_loop_{name}"] for name in ("run", "written", "bytes"))
-        size.restype, self._written.restype = ctypes.c_ulong, ctypes.c_int64
-        self._run.argtypes, self._written.argtypes = [ctypes.c_void_p] * 3, [ctypes.c_void_p]
-        if size() != ctypes.sizeof(kind):
-            raise OSError(f"loop.c: the struct has {size()} bytes, expected {ctypes.sizeof(kind)}")
-        self.view: Any = kind()
-        self._controller, self._preview = controller, preview
-        self._reference = np.ctypeslib.as_array(self.view.reference)
-        self._put(fixed)
-        dt_s = self.view.dt_s
-        self.view.most_behind = min(max(round(_BEHIND_S / dt_s), 4), _SIZES["SAMPLES"] - 1)
+    def __init__(self, controller: GuardedController, spin_s: float = 0.0) -> None:
+        core, problem = engine(), controller.problem
+        self._run, self._written = core.loop_run, core.loop_written
+        self.view: Any = layout("hystmpc_loop")()
+        self._address, self._controller = ctypes.addressof(self.view), controller
+        self._room = np.empty(core.loop_room_bytes(problem.address), dtype=np.uint8)
+        self._memory = np.zeros(core.memory_bytes(problem.address), dtype=np.uint8)
+        self._preview, self._reference = controller.horizon, np.ctypeslib.as_array(self.view.reference)
+        dt_s, stop_after = controller.dt, problem.fields["stop_after"]
+        self._put({"dt_s": dt_s, "spin_ns": round(1e9 * spin_s), "stop_after": stop_after})
+        self.view.most_behind = min(max(round(_BEHIND_S / dt_s), 4), _SAMPLES - 1)
         self._watch_s = min(max(_WATCH_S, 0.25 * dt_s), 0.02)
-        self._ahead = preview + min(max(round(_AHEAD_S / dt_s), 4), _MOST_AHEAD)
+        self._ahead = self._preview + min(max(round(_AHEAD_S / dt_s), 4), _MOST_AHEAD)
 
     def begin(self, numbers: Mapping[str, Any]) -> None:
         """Initialise the struct with these fields for the next sample."""
         view = self.view
         view.written = view.read = view.asked = view.late = view.skipped = view.unread = view.reason = 0
         self._put(numbers)
+
+    def take_up(self, state: GuardedState) -> None:
+        """Step a copy of this state."""
+        self._memory = state.memory.copy()
+
+    def after(self, state: GuardedState) -> GuardedState:
+        """Return the state after the last sample, in place of the one that was taken up."""
+        return replace(state, memory=self._memory.copy())
+
+    def run(self, flag: ctypes.c_int) -> None:
+        """Execute samples until one is not as expected, or the flag is not zero."""
+        word = ctypes.addressof(flag)
+        self._run(self._address, self._controller.problem.address, self._memory, self._room, word)
 
     def samples(
         self, numbers: Mapping[str, Any], wanted: Callable[[Vec], Vec], end: int, flag: StopFlag
@@ -364,8 +151,7 @@ class CompiledLoop:
         self._put(numbers)
         view.end, view.fed = end, view.steps + 1
         self._feed(wanted)
-        word = ctypes.byref(flag.word)
-        run = Thread(target=self._run, args=(ctypes.byref(view), self._controller, word), name="loop-in-c", daemon=True)
+        run = Thread(target=self.run, args=(flag.word,), name="loop-in-c", daemon=True)
         run.start()
         try:
             with _after_the_loop():
@@ -378,9 +164,34 @@ class CompiledLoop:
             self.interrupt()  # the samples are no longer consumed
             run.join()
 
+    @staticmethod
+    def command(sample: Any, stalled: int, refusal: str) -> Command:
+        """Return the command of a sample, with the words of `GuardedController`; of its plan only the first angle.
+
+        Args:
+            stalled: age of the model state before it [samples].
+            refusal: why there was no time for a plan, where there was none.
+        """
+        answer = sample.answer
+        more = {
+            "cause": "",
+            "reference": f"reference: not finite or beyond {ANGLE_BOUND_DEG:.0f} deg",
+            "stalled": stalled,
+            "refusal": refusal,
+            "outside": "",
+            "inverse": "",
+            "advance": "",
+            "unfinished": "",
+        }
+        level = sample.level if answer.source == _FEEDBACK else 0
+        status = status_words(answer, level, sample.forecast_error, sample.stalled, more)
+        predicted = EMPTY if np.isnan(answer.predicted_deg) else np.array((answer.predicted_deg,))
+        timing = Timing({"step": 1e-9 * sample.step_ns})
+        return Command(answer.u, SOURCES[answer.source], status, EMPTY, predicted, answer.departure_deg, timing)
+
     def parts(self, intake: Intake, gate: Gate, transport: Transport) -> dict[str, Any] | None:
         """Initial state of sensor checks, gate and transport in C; None if one of them is not available in C."""
-        judged, limited = intake.numbers(self.view.dt_s, _SIZES["RECENT"]), gate.numbers()
+        judged, limited = intake.numbers(self.view.dt_s, _RECENT), gate.numbers()
         wire = transport.numbers()
         if judged is None or limited is None or wire is None:
             return None
@@ -410,8 +221,8 @@ class CompiledLoop:
 
     def _new(self) -> Iterator[Any]:
         view = self.view
-        for k in range(view.read, self._written(ctypes.byref(view))):
-            yield view.samples[k % _SIZES["SAMPLES"]]
+        for k in range(view.read, self._written(self._address)):
+            yield view.samples[k % _SAMPLES]
             view.read = k + 1
 
     def _feed(self, wanted: Callable[[Vec], Vec]) -> None:
@@ -423,7 +234,7 @@ class CompiledLoop:
             return
         try:
             numbers = np.arange(first, last)
-            self._reference[numbers % _SIZES["REFERENCES"]] = wanted(numbers)
+            self._reference[numbers % _REFERENCES] = wanted(numbers)
         except Exception:  # noqa: BLE001 - a user's function; the sample that Python takes then says what is wrong
             return
         view.fed = last
