@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from threading import local
 from time import perf_counter
@@ -21,7 +21,7 @@ from hystmpc.trials.errors import ControllerError, HystmpcError, shown
 from hystmpc.trials.types import Index, Vec
 
 from .answers import SOURCES, status_words
-from .command import EMPTY, Command, CommandLimits, Timing, described, number_of, numbers_of, replace
+from .command import EMPTY, Command, CommandLimits, Timing, described, number_of, numbers_of
 from .estimation.observer import ANGLE_BOUND_DEG, Bytes, Estimate, Observer, Places, read_estimate, usable_angle
 from .law import Law, LawPart
 from .linearised.program import IterativeSolution
