@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from threading import local
 from time import perf_counter
 from typing import Any, final
@@ -15,16 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hystmpc.core.library import HoldsAddresses, engine
-from hystmpc.core.outside import last_fault
 from hystmpc.core.structs import Struct, constants, layout
+from hystmpc.models.written import Written, written_in
 from hystmpc.trials.brief import brief, in_brief
 from hystmpc.trials.errors import ControllerError, HystmpcError, shown
 from hystmpc.trials.types import Index, Vec
 
 from .answers import SOURCES, status_words
-from .command import EMPTY, Command, CommandLimits, Timing, attempt, number_of, numbers_of, replace
+from .command import EMPTY, Command, CommandLimits, Timing, described, number_of, numbers_of, replace
 from .estimation.observer import ANGLE_BOUND_DEG, Estimate, Observer, Places, usable_angle
 from .law import Law, LawPart
+from .linearised.program import IterativeSolution
 
 _ROUNDING = 1e-6  # of a sample
 _HEAD, _KNOWN, _COMMAND = layout("hystmpc_head"), layout("hystmpc_known"), layout("hystmpc_command")
@@ -81,7 +83,7 @@ class GuardedState:
         places, k = self.places, self.known
         numbers = self.memory[_BEHIND_KNOWN:].view(np.float64)
         ends = np.cumsum([0, places.states, *[places.angles] * 3, 3 * places.filters]).tolist()
-        model, angles, responsive, moves, bank = (numbers[a:b] for a, b in zip(ends, ends[1:], strict=False))
+        model, angles, responsive, moves, bank = (numbers[a:b] for a, b in pairwise(ends))
         return Estimate(
             model, k.command, tuple(angles.tolist()), tuple(bool(one) for one in responsive.tolist()),
             tuple(moves.tolist()), k.disturbance, k.variance, k.measured, k.missing, k.stalled, k.added,
@@ -107,7 +109,7 @@ class GuardedController(HoldsAddresses):
         observer: of the problem.
         rest: state of the predictor (S,) at rest at an angle [deg] and a command; None without a model.
         law: of the problem, if it is written in Python.
-        planner: words of a planner written in Python on its last solution.
+        solution: of quadratic programs in Python, by OSQP.
     """
 
     def __init__(
@@ -117,10 +119,10 @@ class GuardedController(HoldsAddresses):
         observer: Observer,
         rest: Callable[[float, float], Vec] | None,
         law: LawPart | None = None,
-        planner: Callable[[], str] | None = None,
+        solution: IterativeSolution | None = None,
     ) -> None:
         self.problem, self._limits, self._observer, self._rest = problem, limits, observer, rest
-        self._outside, self._planner = law, planner
+        self._outside, self._solution = law, solution
         self._address = problem.address
         self._engine = core = engine()
         self._bytes, self._room_bytes = int(core.memory_bytes(self._address)), int(core.room_bytes(self._address))
@@ -130,6 +132,8 @@ class GuardedController(HoldsAddresses):
         self._places = observer.places
         model = problem.fields.get("model")
         self._states = 0 if model is None else int(core.model_states(model.address))
+        parts = {} if model is None else model.fields
+        self._predictors, self._inverses = (tuple(written_in(parts.get(name))) for name in ("predictor", "inverse"))
         self._unusable = np.full(self._horizon, np.nan)
         self._local = local()
 
@@ -185,8 +189,8 @@ class GuardedController(HoldsAddresses):
         memory = np.zeros(self._bytes, dtype=np.uint8)
         x = None if self._rest is None else np.ascontiguousarray(self._rest(angle, held), dtype=np.float64)
         answer = self._engine.controller_init(self._address, memory, x, angle, held, self._room)
-        if fault := last_fault():
-            raise ControllerError(fault)
+        if error := self._raised(self._predictors):
+            raise error
         if answer == _NOT_AT_REST:
             raise self._observer.not_at_rest(x, angle, held)
         law = None if self._outside is None else self._outside.law.init(angle, held)
@@ -208,7 +212,9 @@ class GuardedController(HoldsAddresses):
         memory, room = state.memory.copy(), self._room
         for y, u in zip(angles[first:].tolist(), commands[first:].tolist(), strict=True):
             if self._engine.controller_look_on(self._address, memory, y, u, room):
-                raise ControllerError(f"replay: the model fails at command {u}: {last_fault() or 'not finite'}")
+                raise ControllerError(
+                    f"replay: the model fails at command {u}: {self._words(self._predictors) or 'not finite'}"
+                )
         law = None if self._outside is None else self._outside.law.init(state.due, float(commands[-1]))
         return replace(state, memory=memory, law=law)
 
@@ -252,7 +258,7 @@ class GuardedController(HoldsAddresses):
         age = 0.0 if -_ROUNDING < age < 0.0 else age
         memory = state.memory.copy()
         if not self._engine.controller_measure(self._address, memory, usable_angle(y), age, self._room):
-            raise ControllerError(last_fault() or self._observer.refused(y, age))
+            raise ControllerError(self._words(self._predictors) or self._observer.refused(y, age))
         return replace(state, memory=memory)
 
     def stop(self, state: GuardedState, cause: str) -> GuardedState:
@@ -316,18 +322,39 @@ class GuardedController(HoldsAddresses):
         if not (answer.status or answer.missing or known.stalled or level or answer.fault > 0):
             note = "" if self._outside is None or self._outside.answer is None else self._outside.answer.status
             return note or "ok"
-        outside = last_fault()
+        law, solution = self._outside and self._outside.error, self._solution and self._solution.error
+        model, inverse = self._words(self._predictors), self._words(self._inverses)
         more = {
             "cause": state.cause,
             "reference": fault,
             "stalled": state.known.stalled,
             "refusal": state.refusal,
-            "outside": outside,
-            "inverse": outside,
-            "advance": outside,
-            "unfinished": "" if self._planner is None else self._planner(),
+            "outside": self._said(law) or self._said(solution) or model or inverse,
+            "inverse": inverse or model,
+            "advance": model,
+            "unfinished": "" if self._solution is None else f"{self._solution.words}, its best step used",
         }
         return status_words(answer, level, known.forecast_error, known.stalled, more)
+
+    @staticmethod
+    def _raised(parts: tuple[Written, ...]) -> BaseException | None:
+        """Fetch what a function in Python of these parts has raised."""
+        error = None
+        for part in parts:
+            error, part.error = error or part.error, None
+        return error
+
+    def _words(self, parts: tuple[Written, ...]) -> str:
+        return self._said(self._raised(parts))
+
+    @staticmethod
+    def _said(error: BaseException | None) -> str:
+        """One line on an exception; one that ends the program goes on."""
+        if error is None:
+            return ""
+        if not isinstance(error, Exception):
+            raise error
+        return described(error)
 
     @property
     def _room(self) -> Bytes:

@@ -123,7 +123,7 @@ class Observer:
         return np.asarray(np.sqrt(estimate.variance + self._bank.ahead(estimate.bank, travels)))
 
     def not_at_rest(self, x: Vec | None, y: float, u: float) -> ControllerError:
-        """Return the error of a start at the angle `y` [deg] that the model, at rest in the state x, does not expect."""
+        """Return the error of a start at the angle `y` [deg] that the model at rest in the state x does not expect."""
         angle = math.nan if self._predictor is None or x is None else self._predictor.advance(x, u)[0]
         if not math.isfinite(angle):
             return ControllerError(
@@ -211,7 +211,8 @@ class EstimatorSettings(SensorKindSettings):
         """Build the observer of a model, without a learned part."""
         known: dict[str, Any] = {"delay": self.delay_samples, "rest_tolerance": self.rest_tolerance_deg}
         if self.sensor == "none":
-            return Observer(struct("hystmpc_sensing", sensor=_SENSORS["HYSTMPC_NO_SENSOR"], forgets=1.0, **known), predictor)
+            part = struct("hystmpc_sensing", sensor=_SENSORS["HYSTMPC_NO_SENSOR"], forgets=1.0, **known)
+            return Observer(part, predictor)
         frames = self.sensor == "intermittent"
         usual = predictor.noise.model_sigma_deg if predictor.noise and frames else None
         sigmas = self.sensor_sigma_deg, self.drift_sigma_deg_per_sqrt_s, self.motion_sigma_deg_per_sqrt_unit
