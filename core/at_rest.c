@@ -29,11 +29,11 @@ typedef struct {
 static long rest_numbers(const int *chain) {
     const int *place = chain + CHAIN_HEAD + chain[6];
     long numbers = 0;
-    for (int k = 0; k < chain[0]; k++, place += STAGE) {
-        hystmpc_program p;
-        program_read(chain + place[0], &p);
-        numbers = hystmpc_longer(numbers, p.single);
-        if (place[1] >= 0) numbers = hystmpc_longer(numbers, hystmpc_chain_rest_room(chain, k));
+    for (int k = 0; k < chain[0]; k++, place += CHAIN_STAGE) {
+        hystmpc_code p;
+        hystmpc_code_read(chain + place[0], &p);
+        numbers = longer(numbers, p.single);
+        if (place[1] >= 0) numbers = longer(numbers, hystmpc_chain_rest_room(chain, k));
     }
     return numbers;
 }
@@ -41,18 +41,18 @@ static long rest_numbers(const int *chain) {
 /* One stage at rest at the input v, where it shows `seen`; answers its output in the next sample. */
 static real rest_stage(const chain_at_rest *c, int stage, real v, real seen) {
     const hystmpc_rest_rule *r = c->rule;
-    const int *place = r->chain + CHAIN_HEAD + r->chain[6] + STAGE * stage;
+    const int *place = r->chain + CHAIN_HEAD + r->chain[6] + CHAIN_STAGE * stage;
     real *x = c->x + place[2], *registers = c->room;
-    hystmpc_program p;
+    hystmpc_code p;
     if (place[1] >= 0)
         hystmpc_chain_rest(r->chain, r->constants, stage, 1, &v, x, &seen, x, r->parameters + place[3], 1, 0, x, x, x,
                            c->room);
-    program_read(r->chain + place[0], &p);
+    hystmpc_code_read(r->chain + place[0], &p);
     for (int i = 0; i < p.kept; i++) registers[i] = r->kept[place[4] + i];
     for (int i = 0; i < p.states; i++) registers[p.kept + i] = x[i];
     registers[p.kept + p.states] = v;
-    program_single(p.code[FIXED], p.length[FIXED], registers);
-    program_single(p.code[MOVING], p.length[MOVING], registers);
+    hystmpc_code_single(p.code[PHASE_FIXED], p.length[PHASE_FIXED], registers);
+    hystmpc_code_single(p.code[PHASE_MOVING], p.length[PHASE_MOVING], registers);
     return registers[p.results[1]];
 }
 
@@ -95,9 +95,9 @@ long hystmpc_at_rest_bytes(const void *rule, const void *predictor) {
     const hystmpc_rest_rule *r = rule;
     const hystmpc_predictor *p = predictor;
     if (r->kind == HYSTMPC_RESTS)
-        return hystmpc_longer(hystmpc_at_rest_bytes(r->first, p->first), hystmpc_at_rest_bytes(r->second, p->second));
+        return longer(hystmpc_at_rest_bytes(r->first, p->first), hystmpc_at_rest_bytes(r->second, p->second));
     const long bytes = hystmpc_predictor_bytes(p, 1, 1);
-    return r->kind == HYSTMPC_SETTLED ? bytes + hystmpc_room_for_reals(rest_numbers(r->chain)) : bytes;
+    return r->kind == HYSTMPC_SETTLED ? bytes + room_for(rest_numbers(r->chain)) + ROOM_LINE : bytes;
 }
 
 /* Both parts of a predictor; a companion's state has the angle behind each. */
@@ -117,7 +117,8 @@ int hystmpc_at_rest(const void *rule, const void *predictor, real y, real u, rea
     int failed = 0;
     if (r->kind == HYSTMPC_RESTS) return rest_parts(r, p, y, u, x, room);
     if (r->kind == HYSTMPC_SETTLED) {
-        const chain_at_rest c = {r, u, x, hystmpc_reals(&room, rest_numbers(r->chain))};
+        room = room_begin(room);
+        const chain_at_rest c = {r, u, x, room_take(&room, rest_numbers(r->chain))};
         settle(&c, y);
     } else {
         for (int i = 0; i < p->states; i++) x[i] = r->offset[i] + r->by_angle[i] * y + r->by_command[i] * u;

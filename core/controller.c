@@ -183,10 +183,12 @@ static void fall_back(const hystmpc_problem *p, hystmpc_memory *m, const hystmpc
         return;
     }
     out->source = HYSTMPC_INVERSE;
-    if (p->falls_back_on_inverse && p->model &&
-        !hystmpc_model_command(p->model, g->state, g->reference[0] - g->disturbance, g->u_last, &out->u, room) &&
-        is_finite(out->u))
-        return;
+    if (p->falls_back_on_inverse && p->model) {
+        const real wanted = g->reference[0] - g->disturbance;
+        const int failed = hystmpc_model_command(p->model, g->state, wanted, g->u_last, &out->u, room);
+        if (!failed && is_finite(out->u)) return;
+        out->inverse = failed ? 2 : 1;
+    }
     out->source = HYSTMPC_HOLD;
     out->u = g->u_last;
 }
@@ -285,6 +287,7 @@ void hystmpc_controller_step(const void *problem, char *memory, real angle_deg, 
     answer->status = out.status;
     answer->fault = out.fault;
     answer->planned = out.planned;
+    answer->inverse = out.inverse;
     answer->departure_deg = known->disturbance + known->added;
     answer->predicted_deg = (real)NAN;
     if (!p->model) return;

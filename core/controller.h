@@ -84,7 +84,7 @@ typedef struct {
     int source, status; /* HYSTMPC_MPC ..., HYSTMPC_OK ... */
     int fault;          /* of a planner, what planner.h says; 1 where its iterations ran out */
     int planned;
-    int spare;
+    int inverse;        /* of the fallback: 1 where the inverse answers no finite command, 2 where it has failed */
     real *commands, *angles;
 } hystmpc_proposal;
 
@@ -147,7 +147,7 @@ typedef struct {
     int fault;          /* of a planner, see hystmpc_proposal */
     int missing;        /* samples since the last accepted measurement */
     int planned;        /* entries of the plan */
-    int spare;
+    int inverse;        /* of the fallback, see hystmpc_proposal */
 } hystmpc_command;
 
 HYSTMPC_API long hystmpc_memory_bytes(const void *problem);

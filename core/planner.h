@@ -52,13 +52,14 @@ typedef struct {
 /* Why there is no plan, besides what qp.h and law.h say. */
 enum { HYSTMPC_NO_SAMPLE = -7, HYSTMPC_NO_PREDICTION = -8, HYSTMPC_NO_ANSWER = -9 /* from outside */ };
 
-/* Room for one improvement, that of the model's functions included. */
-HYSTMPC_LOCAL long hystmpc_planner_bytes(const hystmpc_planner *p, const hystmpc_model *m);
+/* Room for one improvement, that of the model's functions included; a `hystmpc_planner` and a `hystmpc_model`. */
+HYSTMPC_API long hystmpc_planner_bytes(const void *planner, const void *model);
 
-/* Improve `best` in place from the state x; `draws` counts the steps of a random planner. 0, 1 where iterations ran out and
- * the best step was used, or a negative number that says why there is none. */
-HYSTMPC_LOCAL int hystmpc_improve(const hystmpc_planner *p, const hystmpc_model *m, const real *x,
-                                  const hystmpc_task *task, hystmpc_plan *best, int64_t *draws, char *room);
+/* Improve the `hystmpc_plan` best in place from the state x, for a `hystmpc_task`; `draws` counts the steps of a random
+ * planner. 0, 1 where iterations ran out and the best step was used, or a negative number that says why there is none:
+ * then the plan is one that costs no more than at the start, and `draws` is as before. */
+HYSTMPC_API int hystmpc_improve(const void *planner, const void *model, const real *x, const void *task, void *best,
+                                int64_t *draws, char *room);
 
 /* The same for random planners, in random_plans.c. */
 HYSTMPC_LOCAL long hystmpc_random_bytes(const hystmpc_planner *p, const hystmpc_model *m);

@@ -15,7 +15,7 @@ static long tree_chain_bytes(const hystmpc_predictor *p, int rows, int samples) 
 static long tree_network_bytes(const hystmpc_predictor *p, int rows, int samples) {
     const int together = hystmpc_network_together(), most_rows = rows < together ? rows : together;
     const int derived = 1 + samples;
-    return (long)sizeof(double) * hystmpc_network_room(p->network, most_rows < derived ? derived : most_rows);
+    return (long)sizeof(real) * hystmpc_network_room(p->network, most_rows < derived ? derived : most_rows);
 }
 
 long hystmpc_predictor_bytes(const void *predictor, int rows, int samples) {
@@ -60,7 +60,7 @@ int hystmpc_predictor_advance(const void *predictor, real *x, real u, real *thet
     const hystmpc_predictor *const p = predictor;
     room = room_begin(room);
     switch (p->kind) {
-    case HYSTMPC_CHAIN: *theta = (real)hystmpc_chain_step(p->chain, p->kept, x, (double)u, room); return 0;
+    case HYSTMPC_CHAIN: *theta = hystmpc_chain_step(p->chain, p->kept, x, u, room); return 0;
     case HYSTMPC_RECURRENT:
         if (tree_finite_sum(x, p->states, &u, 1)) {
             hystmpc_network_sample(p->network, x, 1, &u, theta, (real *)(void *)room);

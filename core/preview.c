@@ -19,8 +19,8 @@ int hystmpc_inverse_command(const void *inverse, const real *x, int states, real
     const hystmpc_inverse *const v = inverse;
     switch (v->kind) {
     case HYSTMPC_EXACT:
-        *u = (real)hystmpc_chain_command_for(v->predictor->chain, v->predictor->kept, x, (double)theta, (double)v->low,
-                                             (double)v->high, (double)u_last, room_begin(room));
+        *u = hystmpc_chain_command_for(v->predictor->chain, v->predictor->kept, x, theta, v->low, v->high, u_last,
+                                       room_begin(room));
         return 0;
     case HYSTMPC_COMPANION: {
         const hystmpc_predictor *const first = v->predictor->first, *const second = v->predictor->second;
@@ -109,8 +109,8 @@ static int preview_any(const preview_task *t, real reach, real *plans, char *roo
 /* Inputs (H) of a drive in the state x whose outputs come closest to `wanted` (H). */
 static void preview_lead(const hystmpc_predictor *drive, const real *x, const real *wanted, int samples, real u_last,
                          real reach, real *inputs, real *outputs, char *room) {
-    (void)hystmpc_lead_drive(drive->chain, drive->kept, x, wanted, samples, (double)u_last,
-                             (double)least(reach, preview_free), preview_drive, inputs, outputs, room);
+    (void)hystmpc_lead_drive(drive->chain, drive->kept, x, wanted, samples, u_last, least(reach, preview_free),
+                             preview_drive, inputs, outputs, room);
 }
 
 /* With dynamics before and behind the model: first the travel is planned, then the commands whose drive follows it
@@ -171,6 +171,6 @@ int hystmpc_inverse_follow(const void *inverse, const void *predictor, const rea
     if (!exact) return preview_any(&task, bounds[2], plans, room);
     const real inverted[2] = {exact->low, exact->high};
     hystmpc_follow(exact->predictor->chain, exact->predictor->kept, preview_network(v), x, wanted, samples,
-                   (double)u_last, bounds, inverted, plans, room);
+                   u_last, bounds, inverted, plans, room);
     return 0;
 }
