@@ -8,7 +8,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,20 +19,6 @@ Array = NDArray[np.float64]
 Whole = NDArray[np.intc]
 
 _local = threading.local()
-
-
-class PackedNetwork(Protocol):
-    """A recurrent network as the engine reads it: address of its numbers, functions that they are packed for."""
-
-    @property
-    def address(self) -> int:
-        """Of its numbers."""
-        ...
-
-    @property
-    def functions(self) -> Any:
-        """Of the engine, at the level for which the numbers are packed."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,26 +179,6 @@ class ChainCode:
         memory = _memory(self._single)
         return float(self.functions.chain_command_for(self.code, kept, state, wanted, low, high, last, memory))
 
-    def follow(
-        self,
-        kept: Array,
-        state: Array,
-        wanted: Array,
-        last: float,
-        bounds: Array,
-        inverted: Array,
-        network: PackedNetwork | None,
-    ) -> Array:
-        """Commands (2, H) along the angles `wanted` (H,): within the box alone, and within the rate limit too.
-
-        Args:
-            network: beside which the chain runs, see `follow.h`; None for none.
-        """
-        functions, address = (self.functions, None) if network is None else (network.functions, network.address)
-        plans, memory = np.empty((2, wanted.size)), _memory(functions.follow_bytes(self.code, address))
-        functions.follow(self.code, kept, address, state, wanted, wanted.size, last, bounds, inverted, plans, memory)
-        return plans
-
     def lead(
         self, kept: Array, state: Array, wanted: Array, last: float, reach: float, numbers: Array
     ) -> tuple[Array, Array, int]:
@@ -240,48 +206,34 @@ class PreparedChain:
 
     def __init__(self, code: ChainCode, parameters: Array, dt_s: float) -> None:
         self.code = code
-        self._kept = code.prepare(np.array(parameters, dtype=np.float64).reshape(-1, 1), dt_s)
+        self.kept = code.prepare(np.array(parameters, dtype=np.float64).reshape(-1, 1), dt_s)
 
     def step(self, state: Array, u: float) -> tuple[float, Array]:
         """Output of one sample, and the next state (S,)."""
-        return self.code.step(self._kept, self._checked(state), u)
+        return self.code.step(self.kept, self._checked(state), u)
 
     def run(self, states: Array, commands: Array) -> tuple[Array, Array]:
         """Outputs (N, T) of N rows under commands (N, T) from states (N, S), and the last states."""
         following = np.array(states, dtype=np.float64, order="C")
         if following.shape != (len(commands), self.code.states):
             raise ValueError(f"states: got shape {following.shape}, expected ({len(commands)}, {self.code.states})")
-        return self.code.simulate_rows(self._kept, following, _doubles(commands)), following
+        return self.code.simulate_rows(self.kept, following, _doubles(commands)), following
 
     def roll_out(self, state: Array, plans: Array) -> Array:
         """Outputs (N, H) of plans (N, H), all from one state (S,)."""
-        return self.code.roll_out(self._kept, self._checked(state), _doubles(plans))
+        return self.code.roll_out(self.kept, self._checked(state), _doubles(plans))
 
     def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
         """Outputs (H,) along one plan (H,) and their derivatives (H, H) by its commands."""
-        return self.code.linearise(self._kept, self._checked(state), _doubles(plan))
+        return self.code.linearise(self.kept, self._checked(state), _doubles(plan))
 
     def command_for(self, state: Array, wanted: float, low: float, high: float, last: float) -> float:
         """Command in [low, high] whose next output is `wanted`."""
-        return self.code.command_for(self._kept, self._checked(state), wanted, low, high, last)
-
-    def follow(
-        self,
-        state: Array,
-        wanted: Array,
-        last: float,
-        bounds: Array,
-        inverted: Array,
-        network: PackedNetwork | None = None,
-    ) -> Array:
-        """Commands (2, H) along the outputs `wanted` (H,), see `ChainCode.follow`."""
-        of_network = 0 if network is None else int(network.functions.network_state(network.address)) + 2
-        state = self._checked(state, of_network)
-        return self.code.follow(self._kept, state, _doubles(wanted), last, bounds, inverted, network)
+        return self.code.command_for(self.kept, self._checked(state), wanted, low, high, last)
 
     def lead(self, state: Array, wanted: Array, last: float, reach: float, numbers: Array) -> tuple[Array, Array, int]:
         """Inputs (H,) that lead a drive along `wanted` (H,), see `ChainCode.lead`."""
-        return self.code.lead(self._kept, self._checked(state), _doubles(wanted), last, reach, numbers)
+        return self.code.lead(self.kept, self._checked(state), _doubles(wanted), last, reach, numbers)
 
     def _checked(self, state: Array, of_network: int = 0) -> Array:
         """State (S,), with so many numbers of a network beside it, as the engine reads it."""

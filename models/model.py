@@ -5,15 +5,18 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
 
+from hystmpc.core.structs import Struct, constants, struct
 from hystmpc.trials.brief import in_brief
 from hystmpc.trials.types import Vec
 
 from .contract.metadata import ModelMetadata, NoiseModel, Start
 from .rest import RestRule
+from .written import Written
 
 _SETTLING_S = 2.0  # [s], many times the lag of any catheter drive
 
@@ -139,7 +142,14 @@ class LoadedModel(ABC):
         """The step as `casadi.Function`: state (S, 1), u (1, 1) -> theta (1, 1), next_state (S, 1)."""
 
 
-class Predictor(ABC):
+class WithPart:
+    """Base of what the engine knows by structs, which are made anew where it is copied."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name not in ("part", "_front")}
+
+
+class Predictor(WithPart, ABC):
     """Fast roll-outs of one model from one state, for predictive control.
 
     The state is a flat vector (S,) in the model's layout, used by this object alone. Plans are commands [mm or bar],
@@ -155,6 +165,18 @@ class Predictor(ABC):
         """Copy sample time, range and noise from another predictor."""
         self.dt, self.command_range = other.dt, other.command_range
         self.noise, self.model_sigma_deg = other.noise, other.model_sigma_deg
+
+    @cached_property
+    def state_size(self) -> int:
+        """Number S of entries of the state."""
+        return self.initial(0.0, self.command_range[0]).size
+
+    @cached_property
+    def part(self) -> Struct:
+        """The predictor as the engine reads it, `hystmpc_predictor`; it calls the methods of one written in Python."""
+        written = Written(self, self.state_size)
+        outside = struct("hystmpc_outside", advance=written.advance, run=written.run, linearise=written.linearise)
+        return struct("hystmpc_predictor", kind=kind_of("WRITTEN"), states=self.state_size, outside=outside)
 
     @abstractmethod
     def initial(self, y: float, u: float) -> Vec:
@@ -200,12 +222,23 @@ class InvertiblePredictor(ModelPredictor):
         """Command in [low, high] whose next angle is `theta` [deg], exact to 1e-11; see `CompiledInverse`."""
 
 
-class Inverse(ABC):
+class Inverse(WithPart, ABC):
     """Inverse of a model from its present memory: angle to command."""
+
+    @cached_property
+    def part(self) -> Struct:
+        """The inverse as the engine reads it, `hystmpc_inverse`; it calls `command` of one written in Python."""
+        outside = struct("hystmpc_outside", command=Written(self).command)
+        return struct("hystmpc_inverse", kind=kind_of("ANSWERED"), outside=outside)
 
     @abstractmethod
     def command(self, state: Vec, theta: float, u_last: float) -> float:
         """Command [mm or bar] whose angle is nearest to `theta` [deg]; in a dead band the one nearest to `u_last`."""
+
+
+def kind_of(name: str) -> int:
+    """Number of a kind of predictor or inverse, as core/predictor.h has them."""
+    return constants()[f"HYSTMPC_{name}"]
 
 
 FitProgress = Callable[[int, float], None]

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import NamedTuple, final
 
 import numpy as np
 
-from hystmpc.core.library import engine
+from hystmpc.core.structs import Struct, struct
 from hystmpc.trials.types import Vec
 
 from ..chain import Chain
 from ..contract.metadata import InitialRule, ModelMetadata
-from ..model import Inverse, Predictor
+from ..fronts import EngineInverse
+from ..model import Inverse, Predictor, kind_of
 from ..operators.dynamics import Delay, stored
 from ..operators.operator import Operator
 from ..prediction.compiled import CompiledPredictor
@@ -26,11 +28,10 @@ _FREE = 1e9  # bound of moves that have none
 
 
 class DriveFit(NamedTuple):
-    """Inputs (H,) of a drive, their outputs (H,), and the first output sample that the inputs change."""
+    """Inputs (H,) of a drive and their outputs (H,)."""
 
     inputs: Vec
     outputs: Vec
-    first: int
 
 
 @final
@@ -57,12 +58,6 @@ class Drive:
         self.size = chain.state_size
         self.delay_samples = sum(int(o.delay_s / facts.dt_s + _WHOLE) for o in operators if isinstance(o, Delay))
 
-    def held(self, state: Vec, u: float, horizon: int) -> DriveFit:
-        """Outputs (H,) for an input that stays at `u`, and the first sample that another input would change."""
-        plan = np.full(horizon, u)
-        outputs, response = self.predictor.linearise(state, plan)
-        return DriveFit(plan, outputs, first_acting(response))
-
     def fit(self, state: Vec, wanted: Vec, u_last: float, reach: float) -> DriveFit:
         """Inputs whose outputs come closest to `wanted` (H,).
 
@@ -71,20 +66,12 @@ class Drive:
         Exact for linear dynamics, by Gauss-Newton steps for others; each program by an active-set method for bounded
         least squares (Stark and Parker, Computational Statistics 10 (1995)).
         """
-        inputs, outputs, first = self.predictor.run.lead(state, wanted, u_last, min(reach, _FREE), _NUMBERS)
-        return DriveFit(inputs, outputs, first)
-
-
-class DrivenParts(NamedTuple):
-    """States of the inverted model, of the drive before it and of the drive behind it; empty where there is none."""
-
-    middle: Vec
-    front: Vec
-    back: Vec
+        inputs, outputs, _ = self.predictor.run.lead(state, wanted, u_last, min(reach, _FREE), _NUMBERS)
+        return DriveFit(inputs, outputs)
 
 
 @final
-class DrivenInverse(Inverse):
+class DrivenInverse(EngineInverse):
     """Static inverse of a model with dynamics before or behind it: the command that brings it to rest at the angle.
 
     Args:
@@ -98,16 +85,12 @@ class DrivenInverse(Inverse):
         self.inner, self.predictor, self.front, self.back = inner, predictor, front, back
         self.delay_samples = sum(drive.delay_samples for drive in (front, back) if drive)
 
-    def parts(self, state: Vec) -> DrivenParts:
-        """Parts of the state (S,) of the whole model."""
-        ahead = self.front.size if self.front else 0
-        cut = state.size - (self.back.size if self.back else 0)
-        return DrivenParts(state[ahead:cut], state[:ahead], state[cut:])
+    @property
+    def state_size(self) -> int:
+        return self.predictor.state_size + sum(drive.size for drive in (self.front, self.back) if drive)
 
-    def command(self, state: Vec, theta: float, u_last: float) -> float:
-        return self.inner.command(self.parts(state).middle, theta, u_last)
-
-
-def first_acting(response: Vec) -> int:
-    """First sample that an input changes: rows of the response (H, H) before it are zero."""
-    return int(engine().first_acting(response, len(response)))
+    @cached_property
+    def part(self) -> Struct:
+        front, back = (drive and drive.predictor.part for drive in (self.front, self.back))
+        kind, predictor = kind_of("DRIVEN"), self.predictor.part
+        return struct("hystmpc_inverse", kind=kind, predictor=predictor, inner=self.inner.part, front=front, back=back)

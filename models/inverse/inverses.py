@@ -1,20 +1,21 @@
-"""Inverses of a model: for one step, and along a horizon within the limits of command and rate."""
+"""Inverses of a model, and predictors with the memory of what is inverted."""
 
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
+from functools import cached_property
 from typing import NamedTuple, final
 
 import numpy as np
 
+from hystmpc.core.structs import Struct, struct
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.types import Vec
 
 from ..contract.metadata import ModelMetadata
-from ..model import Inverse, InvertiblePredictor, LoadedModel, Predictor
+from ..fronts import EngineInverse, EnginePredictor, Front, pair_part
+from ..model import Inverse, InvertiblePredictor, LoadedModel, Predictor, kind_of
 from ..prediction.compiled import CompiledPredictor
-from ..prediction.exported import RoutedPredictor
 from .drive import DrivenInverse
 
 
@@ -36,40 +37,40 @@ class CompiledInverse(Inverse):
     def __init__(self, predictor: InvertiblePredictor, low: float, high: float, held: int = 1) -> None:
         self.predictor, self.low, self.high, self.held = predictor, low, high, held
 
+    @cached_property
+    def part(self) -> Struct:
+        if not isinstance(self.predictor, CompiledPredictor):
+            return super().part
+        kind, predictor = kind_of("EXACT"), self.predictor.part
+        return struct("hystmpc_inverse", kind=kind, predictor=predictor, low=self.low, high=self.high)
+
     def command(self, state: Vec, theta: float, u_last: float) -> float:
         return self.predictor.command_for(state, theta, self.low, self.high, u_last)
 
 
 @final
-class AccompaniedPredictor(Predictor):
+class AccompaniedPredictor(EnginePredictor):
     """Model with a companion model that receives the same commands.
 
     Predictions are the model's. The state is [model state, model angle, companion state, companion angle], so that the
     companion's memory is copied and restored together with the model's.
     """
 
-    def __init__(self, predictor: Predictor, companion: Predictor, angle: float = 0.0) -> None:
+    def __init__(self, predictor: Predictor, companion: Predictor) -> None:
         self._as(predictor)
-        self.predictor, self.companion = predictor, companion
-        self.size = predictor.initial(angle, predictor.command_range[0]).size
+        self.predictor, self.companion, self.size = predictor, companion, predictor.state_size
+
+    @property
+    def state_size(self) -> int:
+        return self.size + self.companion.state_size + 2
+
+    @cached_property
+    def part(self) -> Struct:
+        return pair_part("ACCOMPANIED", self.predictor, self.companion, self.state_size)
 
     def initial(self, y: float, u: float) -> Vec:
         # What the two show before their first step is the measured angle for both: no difference is known yet.
         return np.concatenate([self.predictor.initial(y, u), [y], self.companion.initial(y, u), [y]])
-
-    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
-        main, _, side, _ = self.parts(state)
-        size, after = self.size, np.empty(state.size)
-        theta, after[:size] = self.predictor.advance(main, u)
-        after[-1], after[size + 1 : -1] = self.companion.advance(side, u)
-        after[size] = theta
-        return theta, after
-
-    def rollout(self, state: Vec, plans: Vec) -> Vec:
-        return self.predictor.rollout(self.parts(state)[0], plans)
-
-    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
-        return self.predictor.linearise(self.parts(state)[0], plan)
 
     def parts(self, state: Vec) -> tuple[Vec, float, Vec, float]:
         """Model state, model angle [deg], companion state, companion angle [deg]."""
@@ -77,7 +78,7 @@ class AccompaniedPredictor(Predictor):
 
 
 @final
-class CompanionInverse(Inverse):
+class CompanionInverse(EngineInverse):
     """Inverse of the companion, for the wanted angle minus the present difference between companion and model.
 
     u = companion^-1(theta + theta_companion - theta_model)
@@ -86,9 +87,14 @@ class CompanionInverse(Inverse):
     def __init__(self, predictor: AccompaniedPredictor, inverse: Inverse) -> None:
         self.predictor, self.inverse = predictor, inverse
 
-    def command(self, state: Vec, theta: float, u_last: float) -> float:
-        _, main, side, angle = self.predictor.parts(state)
-        return self.inverse.command(side, theta + angle - main, u_last)
+    @property
+    def state_size(self) -> int:
+        return self.predictor.state_size
+
+    @cached_property
+    def part(self) -> Struct:
+        kind, predictor = kind_of("COMPANION"), self.predictor.part
+        return struct("hystmpc_inverse", kind=kind, predictor=predictor, inner=self.inverse.part)
 
 
 @final
@@ -229,104 +235,21 @@ class Bounds(NamedTuple):
     reach: float
 
 
-class Follower(ABC):
-    """Inverse along a horizon, sample by sample from the state after the commands before."""
-
-    @abstractmethod
-    def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
-        """Commands (2, H) along the angles `wanted` (H,) [deg]: within the bounds alone, and with the rate limit."""
-
-
-@final
-class StepwiseFollower(Follower):
-    """Inverse along a horizon by one call of model and inverse for each sample, for any model."""
-
-    def __init__(self, predictor: Predictor, inverse: Inverse) -> None:
-        self._predictor, self._inverse = predictor, inverse
-
-    def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
-        if not np.isfinite(state).all():  # a clamp of a network's gates would hide not-a-number
-            return np.full((2, wanted.size), u_last)
-        free = self._followed(state, wanted, u_last, bounds._replace(reach=np.inf))
-        moves = np.abs(np.diff(free, prepend=u_last))
-        return np.stack(
-            [free, free if np.max(moves) <= bounds.reach else self._followed(state, wanted, u_last, bounds)]
-        )
-
-    def _followed(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
-        plan = np.empty(wanted.size)
-        for k, theta in enumerate(wanted.tolist()):
-            u = self._inverse.command(state, theta, u_last)
-            u = min(max(u if np.isfinite(u) else u_last, bounds.low), bounds.high)
-            u_last = min(max(u, u_last - bounds.reach), u_last + bounds.reach)
-            _, state = self._predictor.advance(state, u_last)
-            plan[k] = u_last
-        return plan
-
-
-@final
-class CompiledFollower(Follower):
-    """Inverse along a horizon in one call of the engine, for chains and for networks with a companion chain.
+class Follower:
+    """Inverse along a horizon, sample by sample from the state after the commands before.
 
     Args:
-        network: network represented by the chain; None for the chain itself.
+        whole: `hystmpc_model` with an inverse.
     """
 
-    def __init__(
-        self, inverse: CompiledInverse, chain: CompiledPredictor, network: RoutedPredictor | None = None
-    ) -> None:
-        self._run, self._inverted = chain.run, np.array([inverse.low, inverse.high])
-        self._route = None if network is None else network.route
+    def __init__(self, whole: Struct) -> None:
+        self._front = Front(whole)
 
     def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
-        if not np.isfinite(state).all():  # a clamp of a network's gates would hide not-a-number
-            return np.full((2, wanted.size), u_last)
-        return self._run.follow(state, wanted, u_last, np.array(bounds), self._inverted, self._route)
-
-
-@final
-class DrivenFollower(Follower):
-    """Inverse with dynamics before and behind the model: first the travel is planned, then the commands for it.
-
-    The drive follows the plan within the rate limit (`Drive.fit`). Both returned plans are equal, since the drive needs
-    that limit.
-    """
-
-    def __init__(self, inverse: DrivenInverse) -> None:
-        self._inverse = inverse
-        self._inner = follower_for(inverse.predictor, inverse.inner)
-
-    def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
-        plans = np.full((2, wanted.size), u_last)
-        if not np.isfinite(state).all():
-            return plans
-        front, back, inner = self._inverse.front, self._inverse.back, self._inverse.predictor
-        middle, ahead, behind = self._inverse.parts(state)
-        if back is not None:
-            wanted = back.fit(behind, wanted, float(wanted[0]), np.inf).inputs
-        travel, first, last = wanted, 0, u_last
-        if front is not None:
-            travel, first = front.held(ahead, u_last, wanted.size)[1:]
-            for v in travel[:first].tolist():
-                _, middle = inner.advance(middle, v)
-                last = v
-        if first < wanted.size:
-            free = self._inner.follow(middle, wanted[first:], last, Bounds(bounds.low, bounds.high, np.inf))[0]
-            if front is not None:
-                travel[first:] = free
-                free = front.fit(ahead, travel, u_last, bounds.reach).inputs
-            plans[:] = np.minimum(np.maximum(free, bounds.low), bounds.high)  # `np.clip` takes three times as long
-        return plans
+        """Commands (2, H) along the angles `wanted` (H,) [deg]: within the bounds alone, and with the rate limit."""
+        return self._front.follow(state, wanted, u_last, np.array(bounds))
 
 
 def follower_for(predictor: Predictor, inverse: Inverse) -> Follower:
-    """Fastest follower for an inverse with the memory of its predictor."""
-    if isinstance(inverse, DrivenInverse):
-        return DrivenFollower(inverse)
-    if isinstance(inverse, CompiledInverse) and isinstance(inverse.predictor, CompiledPredictor):
-        return CompiledFollower(inverse, inverse.predictor)
-    if isinstance(inverse, CompanionInverse) and isinstance(inverse.inverse, CompiledInverse):
-        network, chain = inverse.predictor.predictor, inverse.inverse.predictor
-        if isinstance(network, RoutedPredictor) and isinstance(chain, CompiledPredictor):
-            return CompiledFollower(inverse.inverse, chain, network)
-    return StepwiseFollower(predictor, inverse)
+    """Follower for an inverse with the memory of its predictor."""
+    return Follower(struct("hystmpc_model", predictor=predictor.part, inverse=inverse.part))

@@ -40,6 +40,7 @@ class NetworkRoute(HoldsAddresses):
         packed: weights as the engine reads them.
         address: of the packed weights, for the engine.
         functions: of the engine at this level, for which the weights are packed.
+        states: number of entries of a state.
 
     Raises:
         ModelError: by each method, if the state is of another size.
@@ -49,16 +50,22 @@ class NetworkRoute(HoldsAddresses):
         self, weights: NetworkWeights, threads: Callable[[], int] | None = None, level: str | None = None
     ) -> None:
         self.functions, self._threads = engine(level), threads or allowed_threads
+        self._weights = weights
         lanes = self.functions.network_lanes()
         self.name, self.packed = f"vectors of {lanes}", pack_network(weights, lanes)
         self.address = self.packed.ctypes.data
-        self._size = self.functions.network_state(self.address)
+        self.states = int(self.functions.network_state(self.address))
         self._one = self.functions.network_room(self.address, 1)
         self._together = self.functions.network_together()
 
+    def at_best_level(self) -> NetworkRoute:
+        """The network packed for the best level of this processor."""
+        best = engine().network_lanes() == self.functions.network_lanes()
+        return self if best else NetworkRoute(self._weights, self._threads)
+
     def advance(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         """Angles (K,) [deg] along the plan (K,) [command unit] and the state behind it."""
-        size, end = self._size, self._size + plan.size
+        size, end = self.states, self.states + plan.size
         motion = np.empty(end + self._one)
         motion[:size], motion[size:end] = self._checked(state), plan
         self.functions.network_advance(self.address, motion, plan.size)
@@ -93,8 +100,8 @@ class NetworkRoute(HoldsAddresses):
 
     def _checked(self, state: Vec) -> Vec:
         """The engine does not look where memory ends."""
-        if state.shape != (self._size,):
-            raise ModelError(f"network state: got shape {state.shape}, expected ({self._size},)")
+        if state.shape != (self.states,):
+            raise ModelError(f"network state: got shape {state.shape}, expected ({self.states},)")
         return state
 
 

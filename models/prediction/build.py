@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from hystmpc.core.structs import Struct
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.types import Vec
 
 from ..chain import Chain, split
 from ..connections import operators_of, rest_of
 from ..contract.metadata import ModelMetadata
+from ..fronts import EnginePredictor, pair_part
 from ..inverse.drive import Drive, DrivenInverse
 from ..inverse.inverses import (
     AccompaniedPredictor,
@@ -206,7 +209,7 @@ def inverse_of_chain(simulator: Simulator) -> Inverse:
 
 
 @final
-class SeriesPredictor(Predictor):
+class SeriesPredictor(EnginePredictor):
     """Model behind a drive: theta = model(v), v = drive(u).
 
     d theta / d u = (d theta / d v) (d v / d u). The state is [drive state, model state].
@@ -214,27 +217,22 @@ class SeriesPredictor(Predictor):
 
     def __init__(self, drive: Drive, predictor: Predictor) -> None:
         self._as(predictor)
-        self._drive, self._size, self._predictor = drive.predictor, drive.size, predictor
+        self._drive, self._predictor = drive.predictor, predictor
+
+    @property
+    def state_size(self) -> int:
+        return self._drive.state_size + self._predictor.state_size
+
+    @cached_property
+    def part(self) -> Struct:
+        return pair_part("SERIES", self._drive, self._predictor, self.state_size)
 
     def initial(self, y: float, u: float) -> Vec:
         return np.concatenate([self._drive.initial(u, u), self._predictor.initial(y, u)])
 
-    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
-        v, moved = self._drive.advance(state[: self._size], u)
-        theta, following = self._predictor.advance(state[self._size :], v)
-        return theta, np.concatenate([moved, following])
-
-    def rollout(self, state: Vec, plans: Vec) -> Vec:
-        return self._predictor.rollout(state[self._size :], self._drive.rollout(state[: self._size], plans))
-
-    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
-        travel, by_command = self._drive.linearise(state[: self._size], plan)
-        theta, by_travel = self._predictor.linearise(state[self._size :], travel)
-        return theta, by_travel @ by_command
-
 
 @final
-class ParallelPredictor(Predictor):
+class ParallelPredictor(EnginePredictor):
     """Sum of two models with the same command: theta = first(u) + second(u).
 
     The state is [state of the first, state of the second]. At rest the first one shows the measured angle.
@@ -243,24 +241,18 @@ class ParallelPredictor(Predictor):
     def __init__(self, first: Predictor, second: Predictor) -> None:
         self.dt, self.command_range, self.noise = first.dt, first.command_range, second.noise
         self.model_sigma_deg = second.model_sigma_deg
-        self.first, self.second = first, second
-        self.size = first.initial(0.0, first.command_range[0]).size
+        self.first, self.second, self.size = first, second, first.state_size
+
+    @property
+    def state_size(self) -> int:
+        return self.size + self.second.state_size
+
+    @cached_property
+    def part(self) -> Struct:
+        return pair_part("PARALLEL", self.first, self.second, self.state_size)
 
     def initial(self, y: float, u: float) -> Vec:
         return np.concatenate([self.first.initial(y, u), self.second.initial(0.0, u)])
-
-    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
-        main, moved = self.first.advance(state[: self.size], u)
-        rest, following = self.second.advance(state[self.size :], u)
-        return main + rest, np.concatenate([moved, following])
-
-    def rollout(self, state: Vec, plans: Vec) -> Vec:
-        return self.first.rollout(state[: self.size], plans) + self.second.rollout(state[self.size :], plans)
-
-    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
-        main, by_main = self.first.linearise(state[: self.size], plan)
-        rest, by_rest = self.second.linearise(state[self.size :], plan)
-        return main + rest, by_main + by_rest
 
 
 def surrogate_backlash(model: LoadedModel) -> Simulator:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any, Self, final
 
 import casadi as ca
 import numpy as np
 
 from hystmpc.core.chain import ChainCode, PreparedChain
+from hystmpc.core.structs import Struct, struct
 from hystmpc.trials.types import Vec
 
 from ..contract.metadata import ModelMetadata
-from ..model import InvertiblePredictor
+from ..model import InvertiblePredictor, kind_of
 from ..program import dense
 from ..simulator import Simulator
 from ..stages import function_program, prepared
@@ -47,6 +49,15 @@ class CompiledPredictor(InvertiblePredictor):
         theta, following = function(x, u)
         transition = dense("transition", [x, u, ca.SX.sym("p", 0), ca.SX.sym("dt")], [theta, following])
         return cls(transition, np.empty(0), metadata)
+
+    @property
+    def state_size(self) -> int:
+        return self.run.code.states
+
+    @cached_property
+    def part(self) -> Struct:
+        code, kept = self.run.code, self.run.kept
+        return struct("hystmpc_predictor", kind=kind_of("CHAIN"), states=code.states, chain=code.code, kept=kept)
 
     def held(self, samples: int) -> Self:
         """Predictor of the angle after a hold of so many samples; its state still advances by one sample."""

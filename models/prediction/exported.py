@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, final
 
 import casadi as ca
 import numpy as np
 
+from hystmpc.core.structs import Struct, struct
 from hystmpc.trials.types import Vec
 
 from ..contract.metadata import ModelMetadata, Start
-from ..model import ModelPredictor
+from ..model import ModelPredictor, kind_of
 from ..networks.packed import weights_of
 from ..networks.route import NetworkRoute
 
@@ -31,6 +33,15 @@ class RoutedPredictor(ModelPredictor):
     def __init__(self, metadata: ModelMetadata, start: Start, route: NetworkRoute) -> None:
         super().__init__(metadata, start)
         self.route = route
+
+    @property
+    def state_size(self) -> int:
+        return self.route.states
+
+    @cached_property
+    def part(self) -> Struct:
+        network = self.route.at_best_level()
+        return struct("hystmpc_predictor", kind=kind_of("RECURRENT"), states=self.state_size, network=network)
 
     def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
         plan = np.array([u])
@@ -91,6 +102,10 @@ class OnnxPredictor(ModelPredictor):
         self._function = model.casadi_function()
         self._sparse = _sparse_derivative(self._function)
         self._horizons: dict[int, Any] = {}
+
+    @property
+    def state_size(self) -> int:
+        return self._model.state_size
 
     @property
     def uses_matrices(self) -> bool:
