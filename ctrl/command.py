@@ -118,8 +118,12 @@ def attempt(action: Callable[[], T]) -> tuple[T | None, str]:
         with np.errstate(all="ignore"):
             return action(), ""
     except Exception as error:  # noqa: BLE001 - models and solvers may raise anything, the loop must go on
-        text = " ".join(str(error).split())
-        return None, f"{type(error).__name__}: {text}"[:200]
+        return None, described(error)
+
+
+def described(error: Exception) -> str:
+    """Return one line on an exception: its kind and its words."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"[:200]
 
 
 _ROUNDING = 1e-9  # relative; a limit that was written with fewer digits

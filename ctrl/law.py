@@ -14,7 +14,7 @@ from hystmpc.core.structs import constants, layout
 from hystmpc.trials.config import Count, NotNegativeInt, Settings
 from hystmpc.trials.types import Vec
 
-from .command import EMPTY, ControlInput, LimitsSettings, Source, Stopwatch, described
+from .command import EMPTY, ControlInput, LimitsSettings, Source, Stopwatch
 from .estimation.observer import SensorKindSettings
 
 M = TypeVar("M")
@@ -111,7 +111,7 @@ class LawPart:
 
     def begin(self, memory: Any) -> None:
         """Set the memory with which the next sample is proposed."""
-        self._local.memory, self._local.answer, self._local.fault = memory, None, ""
+        self._local.memory, self._local.answer, self._local.error = memory, None, None
 
     @property
     def answer(self) -> Proposal[Any] | None:
@@ -120,9 +120,10 @@ class LawPart:
         return answer
 
     @property
-    def fault(self) -> str:
-        """One line on what the law has raised in this sample; empty if nothing."""
-        return str(getattr(self._local, "fault", ""))
+    def error(self) -> BaseException | None:
+        """What the law has raised in this sample."""
+        error: BaseException | None = getattr(self._local, "error", None)
+        return error
 
     def __call__(self, given: int, proposal: int) -> int:
         """Ask the law; 0, or 1 where it raises."""
@@ -131,8 +132,8 @@ class LawPart:
             with np.errstate(all="ignore"):
                 answer = self.law.propose(self._local.memory, self._input(asked), Stopwatch())
             out.u = float(answer.u)
-        except Exception as error:  # noqa: BLE001 - a law may raise anything, the loop must go on
-            self._local.fault = described(error)
+        except BaseException as error:  # noqa: BLE001 - through C no exception passes; `error` hands it on
+            self._local.error = error
             return 1
         out.source = _SOURCES[answer.source or self.law.source]
         out.planned = planned = min(answer.plan.size, horizon)

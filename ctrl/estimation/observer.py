@@ -1,38 +1,35 @@
-"""Observers of the model state, from the commands really sent, and of the output disturbance, from the measurements."""
+"""What is known of the device: settings of the observer, its numbers for the engine, and the estimate."""
 
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal, final
+from typing import Any, Literal, NamedTuple, final
 
 import numpy as np
 
+from hystmpc.core.structs import Struct, constants, struct
 from hystmpc.models.model import Predictor
 from hystmpc.trials.brief import brief
 from hystmpc.trials.config import NotNegative, NotNegativeInt, Positive, Settings
 from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Vec
 
-from ..command import EMPTY, number_of, replace
+from ..command import EMPTY, number_of
 from .noise import NoiseBank
 
 ANGLE_BOUND_DEG = 1e4  # far beyond any joint; keeps squares and sums of angles finite
 
-_EARNED_S = 10.0  # time constant of forgetting
-_DOUBT = 5.0  # prior doubt: as many frames of pure noise
-
+_EARNED_S, _DOUBT = 10.0, 5.0  # of frames: time constant of forgetting; prior doubt, as many frames of pure noise
 _RESOLUTION = 1e-9  # command changes below this share of the command range count as none
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Snapshot of the state of an observer.
+    """What is known of the device in one state of a controller; read from its memory.
 
     Attributes:
-        state: predictor state (S,) after every command sent so far, also those still on their way.
+        state: of the model (S,) after every command sent so far, also those still on their way.
         command: the command really sent last [mm or bar].
         angles: predicted angles [deg] without disturbance: now, then at the ends of the samples whose commands
             are still on their way; `delay_samples + 1` entries, none without a model.
@@ -43,12 +40,9 @@ class Estimate:
         missing: number of samples since the last accepted measurement.
         stalled: number of samples since the model was last advanced; above zero it has failed.
         added: learned part of the first of the angles [deg].
-        learning: memory of an observer that learns, see `LearningEstimator`.
         forecast_error: of the best forecast of the last seconds, relative to that of no change (root mean squares,
             Theil's U); 0 before there was motion, and of an observer that does not judge its forecasts.
-        earned: of frames, the sums of m z and m^2 [deg^2]; m is the mean of the bank before the offset z came.
-        past: corrected estimates of the last instants, the newest last; see `Frames`.
-        seen: measurements of this instant, used or not usable [deg].
+        bank: of the noise filters (3, M), see `NoiseBank`.
         since: share of a sample by which the last accepted measurement is younger than `missing` samples.
     """
 
@@ -63,12 +57,8 @@ class Estimate:
     missing: int = 0
     stalled: int = 0
     added: float = 0.0
-    learning: object = None
     forecast_error: float = 0.0
     bank: Vec = field(default_factory=lambda: EMPTY)
-    earned: tuple[float, float] = (0.0, 0.0)
-    past: tuple[Estimate, ...] = ()
-    seen: tuple[float, ...] = ()
     since: float = 0.0
     __repr__ = brief
 
@@ -83,57 +73,89 @@ class Estimate:
         return self.disturbance + self.added
 
 
-class Observer(ABC):
-    """Observer with explicit state: `correct` is the measurement update, `advance` the time update."""
+class Places(NamedTuple):
+    """Sizes of the estimate in a memory: states of the model, angles on their way and now, noise filters."""
 
-    delay_samples: int  # transport delay between command and angle, beyond the one sample of every discrete loop
+    states: int
+    angles: int
+    filters: int
 
-    @abstractmethod
-    def init(self, y: float, u: float) -> Estimate:
-        """Return the estimate at rest with measured angle `y` [deg] and held command `u`; model errors propagate."""
+
+@final
+class Observer:
+    """Observer of the model's state, and of a random-walk output disturbance, as the engine has it.
+
+        theta_k = model(commands up to k-1-D) + d_k,   d_{k+1} = d_k + w_k,   y_k = theta_k + v_k
+        var(w_k) = drift_sigma^2 dt + motion_sigma^2 |u_k - u_{k-1}|,   var(v_k) = sensor_sigma^2
+
+    Its equations are those of core/observer.h: a continuous sensor, late frames, no sensor, or the newest measurement
+    alone. `core/observer.c` says what is not integrated, `core/frames.c` how late frames are used.
+
+    Args:
+        part: `hystmpc_sensing`.
+        predictor: of the model alone; None for the newest measurement.
+        bank: of noise filters; None where there is none.
+    """
+
+    def __init__(self, part: Struct, predictor: Predictor | None = None, bank: NoiseBank | None = None) -> None:
+        self.part, self._predictor, self._bank = part, predictor, bank
+        self._sensor, self._oldest = part.fields["sensor"], int(part.fields.get("oldest", 0))
+        self.delay_samples = int(part.fields.get("delay", 0))
+        states = 0 if predictor is None else int(predictor.part.fields["states"])
+        angles = 0 if predictor is None else self.delay_samples + 1
+        self.places = Places(states, angles, 0 if bank is None else bank.size)
+
+    @property
+    def has_model(self) -> bool:
+        """Whether it advances a model."""
+        return self._predictor is not None
 
     def sigma_deg(self, estimate: Estimate) -> float:
         """Standard deviation of the error of the estimated angle [deg]; not-a-number where it is not known."""
-        return math.sqrt(estimate.variance)
+        if self._predictor is None:
+            return math.nan
+        return self._predictor.model_sigma_deg if self._bank is None else math.sqrt(estimate.variance)
 
     def sigma_ahead_deg(self, estimate: Estimate, travels: Vec) -> Vec:
         """Standard deviation of the error of the angles predicted for the coming command travels (H,) [deg]."""
-        return np.full(travels.size, self.sigma_deg(estimate))
+        if self._bank is None:
+            return np.full(travels.size, self.sigma_deg(estimate))
+        return np.asarray(np.sqrt(estimate.variance + self._bank.ahead(estimate.bank, travels)))
 
-    def disturbance_sigma_deg(self, estimate: Estimate) -> float:
-        """Standard deviation of the noise of the estimated disturbance in a hold [deg]."""
-        return math.sqrt(estimate.variance)
+    def not_at_rest(self, x: Vec | None, y: float, u: float) -> ControllerError:
+        """Return the error of a start at the angle `y` [deg] that the model at rest in the state x does not expect."""
+        angle = math.nan if self._predictor is None or x is None else self._predictor.advance(x, u)[0]
+        if not math.isfinite(angle):
+            return ControllerError(
+                f"estimator: the model answers {angle} deg to a rest at command {u}, expected finite"
+            )
+        limit = self.part.fields["rest_tolerance"]
+        return ControllerError(
+            f"estimator: got {y:.6g} deg at rest with command {u:.6g}, the model expects {angle:.6g} deg, "
+            f"accepted is a difference of {limit:.6g} deg (estimator.rest_tolerance_deg)"
+        )
 
-    @abstractmethod
-    def correct(self, estimate: Estimate, y: float) -> Estimate:
-        """Measurement update with `y` [deg]; not-a-number and outliers change nothing. Never raises."""
-
-    def correct_late(self, estimate: Estimate, y: float, age: float) -> Estimate:
-        """Measurement update with `y` [deg] of `age` samples ago.
-
-        Raises:
-            ControllerError: if this observer accepts no late measurements, or none of that age.
-        """
-        del estimate
-        raise ControllerError(
+    def refused(self, y: float, age: float) -> str:
+        """Return why a measurement `y` [deg] of `age` samples ago cannot be used."""
+        if self._sensor in (_SENSORS["HYSTMPC_FRAMES"], _SENSORS["HYSTMPC_NEWEST_FRAME"]):
+            return (
+                f"measure: got {y} deg of {age:.4g} samples ago, expected a finite angle of the last {self._oldest} "
+                "samples, of which the controller remembers those since its start"
+            )
+        return (
             f"measure: got {y} deg of {age:.4g} samples ago, expected a controller with estimator.sensor intermittent"
         )
 
-    @abstractmethod
-    def advance(self, estimate: Estimate, u: float) -> Estimate:
-        """Time update by one sample with the command `u`; may raise the model's errors."""
 
-    @abstractmethod
-    def coast(self, estimate: Estimate, u: float) -> Estimate:
-        """Time update after a failed `advance`: the model state does not change. Never raises."""
+_SENSORS = constants()
 
 
 class SensorKindSettings(Settings):
     """Block `estimator` of a controller without a model: kind of sensor.
 
     Attributes:
-        sensor: `continuous`; `intermittent` for frames of an imaging system, now and then and late, see `Frames` and
-            `LastMeasurement`; `none` for a device without an angle sensor, see `ModelAlone`.
+        sensor: `continuous`; `intermittent` for frames of an imaging system, now and then and late; `none` for a device
+            without an angle sensor, whose angle at rest is declared when the controller starts.
         oldest_frame_s: age up to which an intermittent sensor's frame is used [s].
         longest_gap_s: time without a usable frame that is bridged [s]; of a continuous sensor
             `ladder.max_missing_samples` says it.
@@ -146,6 +168,12 @@ class SensorKindSettings(Settings):
     def bridged_samples(self, usual: int, dt_s: float) -> int:
         """Number of bridged samples without a usable measurement; `usual` unless the sensor is intermittent."""
         return round(self.longest_gap_s / dt_s) if self.sensor == "intermittent" else usual
+
+    def observer(self, predictor: Predictor) -> Observer:
+        """Build the observer: without a model it holds the newest measurement."""
+        kind = "HYSTMPC_NEWEST" if self.sensor == "continuous" else "HYSTMPC_NEWEST_FRAME"
+        oldest = self.oldest_samples(predictor.dt)
+        return Observer(struct("hystmpc_sensing", sensor=_SENSORS[kind], oldest=oldest, forgets=1.0))
 
     def oldest_samples(self, dt_s: float) -> int:
         """Age of the oldest frame that is used, in whole samples of `dt_s` [s]; 0 unless the sensor is intermittent."""
@@ -180,323 +208,30 @@ class EstimatorSettings(SensorKindSettings):
     rest_tolerance_deg: Positive = 30.0
 
     def observer(self, predictor: Predictor) -> Observer:
-        """Build the estimator."""
+        """Build the observer of a model, without a learned part."""
+        known: dict[str, Any] = {"delay": self.delay_samples, "rest_tolerance": self.rest_tolerance_deg}
         if self.sensor == "none":
-            return ModelAlone(predictor, self)
-        estimator = OutputEstimator(predictor, self)
-        if self.sensor == "continuous":
-            return estimator
-        return Frames(estimator, self.oldest_samples(predictor.dt))
-
-
-@final
-class OutputEstimator(Observer):
-    """Observer of a random-walk output disturbance; its model is driven by the commands really sent.
-
-        theta_k = model(commands up to k-1-D) + d_k,   d_{k+1} = d_k + w_k,   y_k = theta_k + v_k
-        var(w_k) = drift_sigma^2 dt + motion_sigma^2 |u_k - u_{k-1}|,   var(v_k) = sensor_sigma^2
-
-    d and its variance are those of a bank of Kalman filters, see `NoiseBank`, or of one filter if all sigmas are given.
-
-    The model always holds every command sent; the D predicted angles on their way are kept in a queue, so a
-    measurement meets the prediction made for its own instant, and plans start where the queue ends.
-
-    The frames of an intermittent sensor are noisy, and few. Their disturbance estimate is scaled by how well it has
-    predicted the offsets z_j of later frames (prior of 5 frames, memory of 10 s):
-
-        d_k = s_k m_k,   s_k = sum_j m_j z_j / (sum_j m_j^2 + 5 sensor_sigma^2),   0 <= s_k <= 1
-
-    m_j: the mean of the bank before frame j. Where the model is right within the noise of the frames, s stays near zero
-    and the device is controlled as without a sensor.
-
-    Two things are not integrated: outliers, and samples in which the command moved but the model did not (the
-    dead band of a play), where a wrong guess of the play's state would wind the disturbance up and hunt.
-    """
-
-    def __init__(self, predictor: Predictor, settings: EstimatorSettings) -> None:
-        self._predictor = predictor
-        self._settings = settings
-        self._frames = settings.sensor == "intermittent"
-        self._forgets = math.exp(-predictor.dt / _EARNED_S) if self._frames else 1.0
-        known = predictor.noise.model_sigma_deg if predictor.noise and self._frames else None
-        self.bank = NoiseBank(
-            (
-                settings.sensor_sigma_deg,
-                settings.drift_sigma_deg_per_sqrt_s,
-                settings.motion_sigma_deg_per_sqrt_unit,
-            ),
-            predictor,
-            settings.disturbance_limit_deg,
-            known,
-        )
+            part = struct("hystmpc_sensing", sensor=_SENSORS["HYSTMPC_NO_SENSOR"], forgets=1.0, **known)
+            return Observer(part, predictor)
+        frames = self.sensor == "intermittent"
+        usual = predictor.noise.model_sigma_deg if predictor.noise and frames else None
+        sigmas = self.sensor_sigma_deg, self.drift_sigma_deg_per_sqrt_s, self.motion_sigma_deg_per_sqrt_unit
+        bank = NoiseBank(sigmas, predictor, self.disturbance_limit_deg, usual)
         low, high = predictor.command_range
-        self._resolution = _RESOLUTION * abs(high - low)
-        self.delay_samples = settings.delay_samples
-
-    def numbers(self) -> Mapping[str, float | Vec]:
-        """Return the numbers of the estimator and its bank, for code generation."""
-        settings = self._settings
-        return {
-            **self.bank.numbers(),
-            "outlier": settings.outlier_deg,
-            "dead_band_gain": settings.dead_band_gain_deg_per_unit,
-            "resolution": self._resolution,
-        }
-
-    def init(self, y: float, u: float) -> Estimate:
-        """Return the estimate at rest, with `y` minus the model's angle as disturbance; zero with frames."""
-        angle, state = rest_of_model(self._predictor, y, u, self._settings.rest_tolerance_deg)
-        queue, first = self.delay_samples + 1, 0.0 if self._frames else y - angle
-        bank, variance = self.bank.init(first)
-        return Estimate(state, u, (angle,) * queue, (True,) * queue, (0.0,) * queue, first, variance, y, bank=bank)
-
-    def sigma_ahead_deg(self, estimate: Estimate, travels: Vec) -> Vec:
-        return np.asarray(np.sqrt(estimate.variance + self.bank.ahead(estimate.bank, travels)))
-
-    def disturbance_sigma_deg(self, estimate: Estimate) -> float:
-        return math.sqrt(estimate.variance) * self._share(estimate.earned, estimate.bank)
-
-    def _share(self, earned: tuple[float, float], bank: Vec) -> float:
-        if not self._frames:
-            return 1.0
-        return min(max(earned[0] / (earned[1] + _DOUBT * self.bank.sensor_variance(bank)), 0.0), 1.0)
-
-    def correct(self, estimate: Estimate, y: float) -> Estimate:
-        angle, far = usable_angle(y), self._settings.outlier_deg
-        offset = angle - estimate.angles[0]
-        if not (abs(offset - estimate.disturbance) <= far or abs(angle - estimate.measured) <= far):  # or not a number
-            return replace(estimate, missing=estimate.missing + 1)
-        if not estimate.responsive[0]:
-            return replace(estimate, measured=angle, missing=0)
-        bank, mean, variance = self.bank.correct(estimate.bank, offset)
-        earned = estimate.earned
-        if self._frames:
-            before = float(estimate.bank[0] @ estimate.bank[2])
-            earned = (earned[0] + before * offset, earned[1] + before * before)
-        share = self._share(earned, bank)
-        return replace(
-            estimate,
-            bank=bank,
-            earned=earned,
-            disturbance=share * mean,
-            variance=variance + ((1.0 - share) * mean) ** 2,
-            measured=angle,
-            missing=0,
+        part = struct(
+            "hystmpc_sensing",
+            **known,
+            sensor=_SENSORS["HYSTMPC_FRAMES" if frames else "HYSTMPC_CONTINUOUS"],
+            oldest=self.oldest_samples(predictor.dt),
+            outlier=self.outlier_deg,
+            dead_band_gain=self.dead_band_gain_deg_per_unit,
+            resolution=_RESOLUTION * abs(high - low),
+            forgets=math.exp(-predictor.dt / _EARNED_S) if frames else 1.0,
+            doubt=_DOUBT,
+            logs=bank.sensor_logs if frames else None,
+            noise=bank.struct(),
         )
-
-    def advance(self, estimate: Estimate, u: float) -> Estimate:
-        angle, state = next_of_model(self._predictor, estimate.state, u)
-        return self._shifted(estimate, u, angle, state)
-
-    def coast(self, estimate: Estimate, u: float) -> Estimate:
-        return self._shifted(estimate, u, estimate.angles[-1], estimate.state, estimate.stalled + 1)
-
-    def _shifted(self, estimate: Estimate, u: float, angle: float, state: Vec, stalled: int = 0) -> Estimate:
-        moved = abs(u - estimate.command)
-        coming = estimate.moves[1] if len(estimate.moves) > 1 else moved
-        answers = abs(angle - estimate.angles[-1]) >= self._settings.dead_band_gain_deg_per_unit * moved
-        bank, variance = self.bank.advance(estimate.bank, coming, estimate.disturbance)
-        return replace(
-            estimate,
-            state=state,
-            command=u,
-            angles=(*estimate.angles[1:], angle),
-            responsive=(*estimate.responsive[1:], answers or moved <= self._resolution),
-            moves=(*estimate.moves[1:], moved),
-            variance=variance,
-            stalled=stalled,
-            bank=bank,
-            earned=(self._forgets * estimate.earned[0], self._forgets * estimate.earned[1]),
-        )
-
-
-@final
-class Frames(Observer):
-    """Observer for delayed measurements, each used at the instant at which it was taken.
-
-    A frame of age a lies between the instants k and k + 1, a = now - k - s. The model's own motion carries it to k,
-
-        y_k = y + theta_k - ((1 - s) theta_k + s theta_{k+1}),   0 <= s < 1
-
-    The estimate of that instant is corrected, and all later updates, by commands and measurements, are repeated. The
-    order in which frames arrive makes no difference.
-
-    Args:
-        samples: age of the oldest frame.
-    """
-
-    def __init__(self, inner: Observer, samples: int) -> None:
-        self._inner, self._samples, self.delay_samples = inner, samples, inner.delay_samples
-
-    def sigma_ahead_deg(self, estimate: Estimate, travels: Vec) -> Vec:
-        return self._inner.sigma_ahead_deg(estimate, travels)
-
-    def disturbance_sigma_deg(self, estimate: Estimate) -> float:
-        return self._inner.disturbance_sigma_deg(estimate)
-
-    def init(self, y: float, u: float) -> Estimate:
-        return replace(self._inner.init(y, u), seen=(float(y),))
-
-    def correct(self, estimate: Estimate, y: float) -> Estimate:
-        after = self._inner.correct(estimate, y)
-        missing = min(after.missing, estimate.missing) if estimate.seen else after.missing  # an instant counts once
-        return replace(after, missing=missing, seen=(*estimate.seen, usable_angle(y)))
-
-    def correct_late(self, estimate: Estimate, y: float, age: float) -> Estimate:
-        """Measurement update with a frame of `age` samples ago.
-
-        Raises:
-            ControllerError: if it is older than the memory, not of the past, or no usable angle.
-        """
-        known, oldest = (*estimate.past, estimate), len(estimate.past)
-        if not (0 <= age <= oldest and math.isfinite(usable_angle(y))):
-            raise ControllerError(
-                f"measure: got {y} deg of {age:.4g} samples ago, expected a finite angle of the last {oldest}"
-            )
-        back = math.ceil(age)
-        here = known[oldest - back]
-        carried = (back - age) * (here.angles[0] - known[min(oldest - back + 1, oldest)].angles[0])
-        present = replace(self.correct(here, y + carried), past=estimate.past[: oldest - back])
-        for after in known[oldest - back + 1 :]:
-            present = self.advance(present, after.command)
-            for seen in after.seen:
-                present = self.correct(present, seen)
-        return present
-
-    def advance(self, estimate: Estimate, u: float) -> Estimate:
-        return self._later(estimate, self._inner.advance(estimate, u))
-
-    def coast(self, estimate: Estimate, u: float) -> Estimate:
-        return self._later(estimate, self._inner.coast(estimate, u))
-
-    def _later(self, before: Estimate, after: Estimate) -> Estimate:
-        past = (*before.past, replace(before, past=()))[-self._samples :]
-        return replace(after, past=past, seen=())
-
-
-@final
-class ModelAlone(Observer):
-    """Open-loop observer of a device without an angle sensor: the model alone, driven by the commands sent.
-
-        theta_k = model(commands up to k-1-D)
-
-    The angle at which the device rests when the controller starts is declared (`TipController.reset`), or the first one
-    of a recording (`TipController.replay`). It sets the initial state of the model; the remaining difference is not
-    treated as a disturbance, and later measurements are ignored. The estimate does not fluctuate, so that holds are as
-    without noise. The model's standard error is `sigma_deg`: the root mean square of the slow errors of its free runs,
-    if the model file has it (`ModelMetadata.model_sigma_deg`).
-    """
-
-    def __init__(self, predictor: Predictor, settings: EstimatorSettings) -> None:
-        self._predictor = predictor
-        self.delay_samples, self._limit = settings.delay_samples, settings.rest_tolerance_deg
-        self._sigma = predictor.model_sigma_deg
-
-    def sigma_deg(self, estimate: Estimate) -> float:
-        del estimate
-        return self._sigma
-
-    def init(self, y: float, u: float) -> Estimate:
-        angle, state = rest_of_model(self._predictor, y, u, self._limit)
-        queue = self.delay_samples + 1
-        return Estimate(state, u, (angle,) * queue, (True,) * queue, (0.0,) * queue, 0.0, 0.0, angle)
-
-    def correct(self, estimate: Estimate, y: float) -> Estimate:
-        del y
-        return replace(estimate, measured=estimate.angles[0])
-
-    def advance(self, estimate: Estimate, u: float) -> Estimate:
-        angle, state = next_of_model(self._predictor, estimate.state, u)
-        moves = (*estimate.moves[1:], abs(u - estimate.command))
-        angles = (*estimate.angles[1:], angle)
-        return replace(estimate, state=state, command=u, angles=angles, moves=moves, stalled=0)
-
-    def coast(self, estimate: Estimate, u: float) -> Estimate:
-        angles = (*estimate.angles[1:], estimate.angles[-1])
-        return replace(estimate, command=u, angles=angles, stalled=estimate.stalled + 1)
-
-
-@final
-class LastMeasurement(Observer):
-    """Observer of a controller without a model, which holds the newest measurement.
-
-    A frame that arrives after one that was taken later changes nothing, so the order of arrival makes no difference.
-
-    Args:
-        frames: age of the oldest frame that is used [samples]; None for a continuous sensor, of which every sample
-            without a usable measurement counts as missing.
-    """
-
-    delay_samples = 0
-
-    def __init__(self, frames: int | None = None) -> None:
-        self._frames = frames
-
-    def sigma_deg(self, estimate: Estimate) -> float:
-        del estimate
-        return math.nan
-
-    def init(self, y: float, u: float) -> Estimate:
-        return Estimate(EMPTY, u, (), (), (), 0.0, 0.0, y)
-
-    def correct(self, estimate: Estimate, y: float) -> Estimate:
-        angle = usable_angle(y)
-        if not math.isnan(angle):
-            return replace(estimate, measured=angle, missing=0, since=0.0)
-        return estimate if self._frames is not None else replace(estimate, missing=estimate.missing + 1)
-
-    def correct_late(self, estimate: Estimate, y: float, age: float) -> Estimate:
-        """Measurement update with a frame of `age` samples ago.
-
-        Raises:
-            ControllerError: if there are no frames, or it is too old, not of the past, or no usable angle.
-        """
-        if self._frames is None:
-            return super().correct_late(estimate, y, age)
-        angle = usable_angle(y)
-        if not (0 <= age <= self._frames and math.isfinite(angle)):
-            raise ControllerError(
-                f"measure: got {y} deg of {age:.4g} samples ago, expected a finite angle of the last {self._frames}"
-            )
-        if age >= estimate.age:
-            return estimate
-        whole = math.ceil(age)
-        return replace(estimate, measured=angle, missing=whole, since=whole - age)
-
-    def advance(self, estimate: Estimate, u: float) -> Estimate:
-        return replace(estimate, command=u, missing=estimate.missing + int(self._frames is not None))
-
-    def coast(self, estimate: Estimate, u: float) -> Estimate:
-        return self.advance(estimate, u)
-
-
-def rest_of_model(predictor: Predictor, y: float, u: float, limit_deg: float) -> tuple[float, Vec]:
-    """Return angle [deg] and state of a model one sample after rest at the angle `y` [deg] and the command `u`.
-
-    Raises:
-        ControllerError: if the model is not finite, or further from `y` than `limit_deg`.
-    """
-    angle, state = predictor.advance(predictor.initial(y, u), u)
-    if not (math.isfinite(angle) and math.isfinite(state.sum())):
-        raise ControllerError(f"estimator: the model answers {angle} deg to a rest at command {u}, expected finite")
-    if abs(y - angle) > limit_deg:
-        raise ControllerError(
-            f"estimator: got {y:.6g} deg at rest with command {u:.6g}, the model expects {angle:.6g} deg, "
-            f"accepted is a difference of {limit_deg:.6g} deg (estimator.rest_tolerance_deg)"
-        )
-    return float(angle), state
-
-
-def next_of_model(predictor: Predictor, state: Vec, u: float) -> tuple[float, Vec]:
-    """Return angle [deg] and state of a model one sample later.
-
-    Raises:
-        ArithmeticError: if they are not finite, or the angle is absurdly large.
-    """
-    angle, following = predictor.advance(state, u)
-    if not (abs(angle) <= ANGLE_BOUND_DEG and math.isfinite(following.sum())):
-        raise ArithmeticError(f"the model answers {angle} deg to command {u:.6g}")
-    return float(angle), following
+        return Observer(part, predictor, bank)
 
 
 def usable_angle(y: object) -> float:

@@ -1,30 +1,28 @@
-"""Model with a learned part: predictor, inverse, follower, and the estimator that learns it."""
+"""Model with a learned part: predictor, inverse and follower, as fronts of the engine; see core/model.h."""
 
 from __future__ import annotations
 
-import ctypes
-from dataclasses import dataclass
+from functools import cached_property
 from typing import final
 
 import numpy as np
 
-from hystmpc.core.library import engine
-from hystmpc.models.inverse.inverses import Bounds, Follower, follower_for
+from hystmpc.core.structs import Struct, struct
+from hystmpc.models.fronts import EnginePredictor, Front
+from hystmpc.models.inverse.inverses import Follower
 from hystmpc.models.model import Inverse, Predictor, static_gain
 from hystmpc.trials.types import Vec
 
-from ..command import attempt, replace
-from ..estimation.observer import Estimate, EstimatorSettings, Observer, OutputEstimator, usable_angle
+from ..command import attempt
 from ..mpc_settings import AdaptationSettings
-from .bank import LEARNED_SIZE, MEMORY, OF_WEIGHTS, BankState, FilterBank
+from .bank import LEARNED_SIZE, OF_WEIGHTS, FilterBank
 
-_ROUNDS = 2
 _RANGE_DEG = 60.0  # angle over the command range, if the model does not state it [deg]
 _SENSOR_DEG = 0.1  # standard deviation of the sensor, if the model's file does not state it [deg]
 
 
 @final
-class LearnedPredictor(Predictor):
+class LearnedPredictor(EnginePredictor):
     """Model with a learned part: theta = m + w_c (m - m_0) + sum_i w_i f_i, see `bank`; constant weights.
 
     The state is the model's, then the learned part's (LEARNED_SIZE,).
@@ -38,6 +36,19 @@ class LearnedPredictor(Predictor):
         self._settings, self._span = settings, high - low
         self._bank = self.filters(0)
 
+    @property
+    def state_size(self) -> int:
+        return self.model.state_size + LEARNED_SIZE
+
+    @property
+    def whole(self) -> Struct:
+        return self.behind(None)
+
+    def behind(self, inverse: Inverse | None) -> Struct:
+        """`hystmpc_model` of model and learned part, with an inverse of the model alone."""
+        inverted = None if inverse is None else inverse.part
+        return struct("hystmpc_model", predictor=self.model.part, inverse=inverted, learner=self._bank.struct())
+
     def filters(self, delay: int) -> FilterBank:
         """Build the bank that learns the weights, behind `delay` samples of delay that the model does not have."""
         sensor = _SENSOR_DEG if self.noise is None else self.noise.sensor_sigma_deg
@@ -48,33 +59,9 @@ class LearnedPredictor(Predictor):
         _, part = self._bank.acting(self._bank.init(y, u, y), (y,))
         return np.concatenate([self.model.initial(y, u), part])
 
-    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
-        angle, below = self.model.advance(self.below(state), u)
-        after = np.concatenate([below, state[state.size - LEARNED_SIZE :]])
-        angle = engine().part_advance(ctypes.byref(self._bank.basis), after[below.size :], u, angle)
-        return angle, after
-
-    def rollout(self, state: Vec, plans: Vec) -> Vec:
-        return self._added(state, plans, np.ascontiguousarray(self.model.rollout(self.below(state), plans)))
-
     def learned(self, state: Vec, plans: Vec) -> Vec:
         """Learned part (N, H) of the angles [deg] along the plans (N, H)."""
-        model = self.model.rollout(self.below(state), plans)
-        return self._added(state, plans, model.copy()) - model
-
-    def _added(self, state: Vec, plans: Vec, angles: Vec) -> Vec:
-        """Add the learned part to the model's angles (N, H) along plans (N, H), in place."""
-        part, plans = state[state.size - LEARNED_SIZE :], np.ascontiguousarray(plans)
-        engine().part_run(ctypes.byref(self._bank.basis), part, plans, *plans.shape, angles)
-        return angles
-
-    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
-        angles, jacobian = self.model.linearise(self.below(state), plan)
-        part, plan, horizon = state[state.size - LEARNED_SIZE :], np.ascontiguousarray(plan), plan.size
-        block = np.empty((1 + horizon + MEMORY + 2, horizon))  # angles, jacobian, room for work
-        block[0], block[1 : horizon + 1] = angles, jacobian
-        engine().part_linearise(ctypes.byref(self._bank.basis), part, plan, horizon, block)
-        return block[0], block[1 : horizon + 1]
+        return self.rollout(state, plans) - self.model.rollout(self.below(state), plans)
 
     def below(self, state: Vec) -> Vec:
         """State of the model without the learned part."""
@@ -92,11 +79,12 @@ class LearnedInverse(Inverse):
     def __init__(self, predictor: LearnedPredictor, inverse: Inverse) -> None:
         self.predictor, self.inverse = predictor, inverse
 
+    @cached_property
+    def _front(self) -> Front:
+        return Front(self.predictor.behind(self.inverse))
+
     def command(self, state: Vec, theta: float, u_last: float) -> float:
-        if not self.predictor.weights(state).any():
-            return self.inverse.command(self.predictor.below(state), theta, u_last)
-        added = float(self.predictor.learned(state, np.full((1, 1), u_last))[0, 0])
-        return self.inverse.command(self.predictor.below(state), theta - added, u_last)
+        return self._front.command(state, theta, u_last)
 
 
 @final
@@ -104,124 +92,4 @@ class LearnedFollower(Follower):
     """Fixed-point inverse along a preview: the model's inverse follows the angles minus the learned part."""
 
     def __init__(self, inverse: LearnedInverse) -> None:
-        self._predictor = inverse.predictor
-        self._inner = follower_for(inverse.predictor.model, inverse.inverse)
-
-    def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
-        predictor = self._predictor
-        below = predictor.below(state)
-        if not predictor.weights(state).any():
-            return self._inner.follow(below, wanted, u_last, bounds)
-        held = np.full((1, wanted.size), u_last)
-        targets = self._inner.follow(below, wanted - predictor.learned(state, held)[0], u_last, bounds)
-        for _ in range(_ROUNDS):
-            plan = targets[1:]
-            targets = self._inner.follow(below, wanted - predictor.learned(state, plan)[0], u_last, bounds)
-        return targets
-
-
-@dataclass(frozen=True, eq=False)
-class Learning:
-    """Memory of a `LearningEstimator`.
-
-    Attributes:
-        added: learned part of each of the model's angles [deg].
-    """
-
-    model: Estimate
-    bank: BankState
-    added: tuple[float, ...]
-
-
-@final
-class LearningEstimator(Observer):
-    """Estimator of a model with a learned part: y_k = m_k + s w' f_k + d_k + v_k.
-
-    Weights w and share s are those of a `FilterBank`; d is that of a `NoiseBank` on the remaining error. Changes of
-    weights or share are compensated by d, so that the present angle does not jump.
-
-    An angle far from the prediction is accepted if the device can have moved there since the last one.
-    """
-
-    def __init__(self, predictor: LearnedPredictor, settings: EstimatorSettings) -> None:
-        self._predictor, self._settings = predictor, settings
-        self._plain = OutputEstimator(predictor.model, settings)
-        self.delay_samples = settings.delay_samples
-        self._bank = predictor.filters(settings.delay_samples)
-
-    def init(self, y: float, u: float) -> Estimate:
-        model = self._plain.init(y, u)
-        bank = self._bank.init(model.angles[0], u, y)
-        return self._whole(model, bank, self._acting(bank, model), model.bank, model.disturbance, model.variance)
-
-    def sigma_ahead_deg(self, estimate: Estimate, travels: Vec) -> Vec:
-        return self._plain.sigma_ahead_deg(estimate, travels)
-
-    def correct(self, estimate: Estimate, y: float) -> Estimate:
-        learning, angle, far = _learning(estimate), usable_angle(y), self._settings.outlier_deg
-        offset = angle - estimate.angles[0]
-        reach = far + self._bank.reach(learning.bank)
-        if not (abs(offset - estimate.disturbance) <= far or abs(angle - estimate.measured) <= reach):
-            return replace(estimate, missing=estimate.missing + 1)
-        model = learning.model
-        bank = self._bank.correct(learning.bank, angle, model.angles[0], model.disturbance)
-        model = replace(self._plain.correct(model, angle), command=estimate.command, measured=angle, missing=0)
-        acting = self._acting(bank, model)
-        change = acting[0][0] - learning.added[0]
-        noise = estimate.bank.copy()
-        noise[0] -= change
-        if not model.responsive[0]:  # inside the dead band, where one is set
-            return self._whole(model, bank, acting, noise, estimate.disturbance - change, estimate.variance)
-        noise, disturbance, variance = self._plain.bank.correct(noise, offset - change)
-        return self._whole(model, bank, acting, noise, disturbance, variance)
-
-    def advance(self, estimate: Estimate, u: float) -> Estimate:
-        return self._later(estimate, self._plain.advance(_model(estimate), u), u)
-
-    def coast(self, estimate: Estimate, u: float) -> Estimate:
-        return self._later(estimate, self._plain.coast(_model(estimate), u), u)
-
-    def _later(self, before: Estimate, model: Estimate, u: float) -> Estimate:
-        bank = self._bank.advance(_learning(before).bank, u)
-        noise, variance = self._plain.bank.advance(before.bank, model.moves[0], before.disturbance)
-        acting = self._acting(bank, model)
-        after = self._whole(model, bank, acting, noise, before.disturbance, variance)
-        return replace(after, missing=before.missing) if before.missing else after
-
-    def _acting(self, bank: BankState, model: Estimate) -> tuple[list[float], Vec]:
-        """Learned part of each of the model's angles [deg], and that of the state."""
-        added, part = self._bank.acting(bank, model.angles)
-        return added.tolist(), part
-
-    def _whole(
-        self,
-        model: Estimate,
-        bank: BankState,
-        acting: tuple[list[float], Vec],
-        noise: Vec,
-        disturbance: float,
-        variance: float,
-    ) -> Estimate:
-        added, part = acting
-        return replace(
-            model,
-            state=np.concatenate([model.state, part]),
-            angles=tuple(angle + more for angle, more in zip(model.angles, added, strict=True)),
-            disturbance=disturbance,
-            variance=variance,
-            bank=noise,
-            added=added[0],
-            learning=Learning(model, bank, tuple(added)),
-            forecast_error=bank.forecast_error,
-        )
-
-
-def _model(estimate: Estimate) -> Estimate:
-    """Estimate of the model alone, with the command that the device really holds."""
-    model = _learning(estimate).model
-    return model if model.command == estimate.command else replace(model, command=estimate.command)
-
-
-def _learning(estimate: Estimate) -> Learning:
-    assert isinstance(estimate.learning, Learning)
-    return estimate.learning
+        super().__init__(inverse.predictor.behind(inverse.inverse))

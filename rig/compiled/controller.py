@@ -20,13 +20,7 @@ from hystmpc.codegen.library import LoadedController, controller_library
 from hystmpc.ctrl.command import EMPTY, Command, Source, Stopwatch, Timing
 from hystmpc.ctrl.estimation.observer import Estimate, usable_angle
 from hystmpc.ctrl.feedback import LEVELS
-from hystmpc.ctrl.guarded import (
-    FallbackState,
-    GuardedController,
-    GuardedState,
-    UnusableReferenceError,
-    usable_reference,
-)
+from hystmpc.ctrl.guarded import GuardedController, GuardedState, UnusableReferenceError, usable_reference
 from hystmpc.ctrl.planner.memory import PlannersController
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.trials.errors import ConfigError, ControllerError, ExportError

@@ -15,7 +15,8 @@ import numpy as np
 from hystmpc.ctrl.command import Command, CommandLimits, ControlInput, Source, Stopwatch, modelled_limits
 from hystmpc.ctrl.config import ControllerSettings, sensor_fault
 from hystmpc.ctrl.estimation.observer import EstimatorSettings
-from hystmpc.ctrl.guarded import GuardedController, Law, Proposal
+from hystmpc.ctrl.guarded import GuardedController
+from hystmpc.ctrl.law import Law, Proposal
 from hystmpc.ctrl.monitor import ChangeMonitor, MonitorState
 from hystmpc.ctrl.planner.reach import beyond_reach
 from hystmpc.ctrl.planner.settings import Assembly, TipSettings, assemble, read_settings

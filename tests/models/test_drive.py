@@ -10,7 +10,7 @@ from scipy.optimize import lsq_linear
 
 from hystmpc.core.library import engine
 from hystmpc.models.chain import Chain, split
-from hystmpc.models.inverse.drive import Drive, DrivenInverse, first_acting
+from hystmpc.models.inverse.drive import Drive, DrivenInverse
 from hystmpc.models.inverse.inverses import Bounds, follower_for
 from hystmpc.models.operators.dynamics import Delay, Lag, RateLimit, Servo
 from hystmpc.models.operators.operator import Operator
@@ -88,11 +88,11 @@ def test_the_program_is_solved_as_scipy_solves_it(seed: int, reach: float, gain:
 
 def test_a_delay_is_seen_in_the_response() -> None:
     found, state = drive("delay and lag")
-    held = found.held(state, 2.0, H)
-    assert held.first == found.delay_samples == 2
-    np.testing.assert_allclose(held.outputs, 2.0)
-    assert first_acting(np.zeros((H, H))) == H
-    assert first_acting(np.eye(H, k=-3)) == 3
+    outputs, response = found.predictor.linearise(state, np.full(H, 2.0))
+    assert engine().first_acting(response, H) == found.delay_samples == 2
+    np.testing.assert_allclose(outputs, 2.0)
+    assert engine().first_acting(np.zeros((H, H)), H) == H
+    assert engine().first_acting(np.eye(H, k=-3), H) == 3
 
 
 def test_a_chain_is_cut_at_its_dynamics() -> None:
