@@ -18,14 +18,13 @@ from hystmpc.core.structs import Struct, constants
 from hystmpc.ctrl.command import limits_of_model, modelled_limits
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.ctrl.planner.settings import TipSettings, read_settings
-from hystmpc.ctrl.problem import problem_of
+from hystmpc.ctrl.problem import problem_of, written_in
 from hystmpc.models.load import load_model, model_path
 from hystmpc.models.model import Predictor
 from hystmpc.models.networks.route import NetworkRoute
 from hystmpc.models.prediction.build import controller_model
 from hystmpc.models.program import BINARY, UNARY
 from hystmpc.models.stages import CODES
-from hystmpc.models.written import written_in
 from hystmpc.trials.errors import ExportError
 from hystmpc.trials.files import write_atomically
 
@@ -177,9 +176,9 @@ def _problem(settings: TipSettings, folder: Path) -> tuple[Struct, Predictor, st
     predictor, inverted = known.predictive if controller.predicts else known.feedforward
     limits = modelled_limits(settings.limits, limits_of_model(facts))
     problem = problem_of(controller, predictor, inverted, limits)
-    if written := next(written_in(problem), None):
+    if written := written_in(problem):
         raise ExportError(
-            f"export-c: got a model of kind {facts.kind} whose {type(written.owner).__name__} is computed by Python, "
+            f"export-c: got a model of kind {facts.kind} with {written} that is computed by Python, "
             "supported are operators, lstm and gru, and what connects them"
         )
     least, most, dt = problem.fields["lower"], problem.fields["upper"], problem.fields["dt_s"]
