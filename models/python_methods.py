@@ -14,7 +14,7 @@ from hystmpc.trials.types import Vec
 
 
 @final
-class Written:
+class PythonMethods:
     """Methods of a predictor or of an inverse as functions on memory, which is copied for them.
 
     Args:
@@ -42,8 +42,8 @@ class Written:
         state[:] = after
 
     def _run(self, x: int, rows: int, samples: int, plans: int, angles: int) -> None:
-        found = self._owner.rollout(_numbers(x, self._size).copy(), _numbers(plans, rows, samples).copy())
-        _numbers(angles, rows, samples)[:] = _shaped(found, (rows, samples))
+        answered = self._owner.rollout(_numbers(x, self._size).copy(), _numbers(plans, rows, samples).copy())
+        _numbers(angles, rows, samples)[:] = _shaped(answered, (rows, samples))
 
     def _linearise(self, x: int, samples: int, plan: int, angles: int, jacobian: int) -> None:
         along, slopes = self._owner.linearise(_numbers(x, self._size).copy(), _numbers(plan, samples).copy())
