@@ -368,15 +368,17 @@ HYSTMPC_LOCAL void hystmpc_observer_advance(const hystmpc_sensing *s, const hyst
     if (n.bank) known->variance = hystmpc_noise_advance(s->noise, o->now.bank, o->now.moves[0], known->disturbance);
 }
 
+/* Without an estimate of the model, and where nothing is learned, the numbers are zero. */
 HYSTMPC_LOCAL void hystmpc_observer_state(const hystmpc_sensing *s, const hystmpc_model *m, const hystmpc_observed *o,
                                           real *x) {
     const hystmpc_extent n = hystmpc_extent_of(s, m);
-    const int learns = observer_learns(s, m);
+    const int learns = observer_learns(s, m), learned = (int)(sizeof(hystmpc_learned) / sizeof(real));
+    const int all = !m || !m->predictor ? 0 : m->predictor->states + (m->learner ? learned : 0);
     memcpy(x, learns ? o->alone.model : o->now.model, sizeof(real) * (size_t)n.states);
-    if (s->sensor == HYSTMPC_OBSERVED || !m || !m->learner) return;
-    hystmpc_learned *part = (hystmpc_learned *)(void *)(x + n.states);
-    if (learns) hystmpc_learning_state(m->learner, o->learning.past, o->learning.filters, part);
-    else memset(part, 0, sizeof *part);
+    for (int i = n.states; i < all; i++) x[i] = R(0.0);
+    if (learns)
+        hystmpc_learning_state(m->learner, o->learning.past, o->learning.filters,
+                               (hystmpc_learned *)(void *)(x + n.states));
 }
 
 HYSTMPC_LOCAL real hystmpc_observer_age(const hystmpc_observed *o) {

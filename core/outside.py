@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from threading import local
 from typing import final
 
 import numpy as np
 
-_local = local()
+_MOST = 8  # faults that are kept
+
+
+@final
+class _Faults(local):
+    """What functions of a thread have raised, the newest last."""
+
+    def __init__(self) -> None:
+        self.raised: deque[BaseException] = deque(maxlen=_MOST)
+
+
+_faults = _Faults()
 
 
 @final
@@ -38,27 +50,29 @@ def guarded(function: Callable[..., None]) -> Callable[..., int]:
 
 
 def keep_fault(error: BaseException) -> None:
-    """Keep a fault of this thread: the first one for `last_fault`, the last one for `raised_last`."""
-    _local.last = error
-    if getattr(_local, "first", None) is None:
-        _local.first = error
+    """Keep a fault of this thread."""
+    _faults.raised.append(error)
 
 
 def raised_last() -> BaseException | None:
     """Fetch what a function of this thread has raised last, for a caller that raises it again; None if nothing."""
-    error, _local.last = getattr(_local, "last", None), None
-    if error is getattr(_local, "first", None):
-        _local.first = None
-    return error
+    return _faults.raised.pop() if _faults.raised else None
 
 
-def last_fault() -> str:
-    """Fetch in one line what functions of this thread have raised first since the last call; empty if nothing.
+def forget_faults() -> None:
+    """Forget what functions of this thread have raised so far."""
+    _faults.raised.clear()
+
+
+def faults() -> list[str]:
+    """Fetch what functions of this thread have raised, in their order, each in one line.
 
     Raises:
         BaseException: what is no `Exception`, such as the interruption by a user.
     """
-    error, _local.first, _local.last = getattr(_local, "first", None), None, None
-    if error is None or isinstance(error, Exception):
-        return "" if error is None else f"{type(error).__name__}: {' '.join(str(error).split())}"[:200]
-    raise error
+    raised = list(_faults.raised)
+    _faults.raised.clear()
+    for error in raised:
+        if not isinstance(error, Exception):
+            raise error
+    return [f"{type(error).__name__}: {' '.join(str(error).split())}"[:200] for error in raised]

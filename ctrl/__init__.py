@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from .config import CONTROLLERS, parse_controller
     from .estimation.observer import EstimatorSettings
     from .feedback import InverseControllerSettings, InversePidControllerSettings, PidControllerSettings
-    from .guarded import Law, LawSettings, Proposal
+    from .law import Law, LawSettings, Proposal
     from .loop import Controller, Plant, run_loop
     from .mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
     from .planner.tip_controller import TipController
@@ -57,7 +57,7 @@ if not TYPE_CHECKING:
         ("hystmpc.ctrl.feedback", "PidControllerSettings"),
         ("hystmpc.ctrl.build", "build_controller"),
         ("hystmpc.ctrl.feedback", "InverseControllerSettings InversePidControllerSettings"),
-        ("hystmpc.ctrl.guarded", "Law LawSettings Proposal"),
+        ("hystmpc.ctrl.law", "Law LawSettings Proposal"),
         ("hystmpc.ctrl.loop", "Controller Plant run_loop"),
         ("hystmpc.ctrl.mpc_settings", "LinearisedMpcSettings SamplingMpcSettings"),
         ("hystmpc.ctrl.planner.tip_controller", "TipController"),

@@ -14,7 +14,7 @@ from hystmpc.trials.from_outside import MEMORY, MODULE_AND_CLASS, class_named, g
 
 from .estimation.observer import SensorKindSettings
 from .feedback import InverseControllerSettings, InversePidControllerSettings, PidControllerSettings
-from .guarded import LawSettings
+from .law import LawSettings
 from .mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 
 GROUP = "hystmpc.controllers"

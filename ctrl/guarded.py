@@ -5,35 +5,32 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from threading import local
 from time import perf_counter
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.core.library import HoldsAddresses, engine
-from hystmpc.core.outside import last_fault
+from hystmpc.core.outside import faults, forget_faults, raised_last
 from hystmpc.core.structs import Struct, constants, layout
 from hystmpc.trials.brief import brief, in_brief
 from hystmpc.trials.errors import ControllerError, HystmpcError, shown
 from hystmpc.trials.types import Index, Vec
 
 from .answers import SOURCES, status_words
-from .command import EMPTY, Command, CommandLimits, Timing, attempt, number_of, numbers_of, replace
-from .estimation.observer import ANGLE_BOUND_DEG, Estimate, Observer, Places, usable_angle
+from .command import EMPTY, Command, CommandLimits, Timing, number_of, numbers_of
+from .estimation.observer import ANGLE_BOUND_DEG, Bytes, Estimate, Observer, Places, read_estimate, usable_angle
 from .law import Law, LawPart
+from .linearised.program import IterativeSolution
 
 _ROUNDING = 1e-6  # of a sample
 _HEAD, _KNOWN, _COMMAND = layout("hystmpc_head"), layout("hystmpc_known"), layout("hystmpc_command")
 _BEHIND_HEAD = -(-ctypes.sizeof(_HEAD) // 8) * 8
-_BEHIND_KNOWN = _BEHIND_HEAD + -(-ctypes.sizeof(_KNOWN) // 8) * 8
 _NOT_AT_REST = constants()["HYSTMPC_NOT_AT_REST"]
 _STOPPED = "after repeated failures"
-
-Bytes = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,15 +75,7 @@ class GuardedState:
     @cached_property
     def estimate(self) -> Estimate:
         """What is known of the device."""
-        places, k = self.places, self.known
-        numbers = self.memory[_BEHIND_KNOWN:].view(np.float64)
-        ends = np.cumsum([0, places.states, *[places.angles] * 3, 3 * places.filters]).tolist()
-        model, angles, responsive, moves, bank = (numbers[a:b] for a, b in zip(ends, ends[1:], strict=False))
-        return Estimate(
-            model, k.command, tuple(angles.tolist()), tuple(bool(one) for one in responsive.tolist()),
-            tuple(moves.tolist()), k.disturbance, k.variance, k.measured, k.missing, k.stalled, k.added,
-            k.forecast_error, bank.reshape(3, -1), k.since,
-        )  # fmt: skip
+        return read_estimate(self.memory[_BEHIND_HEAD:], self.places)
 
     def __getstate__(self) -> Mapping[str, Any]:
         names = ("memory", "places", "law", "cause", "refusal")
@@ -107,7 +96,7 @@ class GuardedController(HoldsAddresses):
         observer: of the problem.
         rest: state of the predictor (S,) at rest at an angle [deg] and a command; None without a model.
         law: of the problem, if it is written in Python.
-        planner: words of a planner written in Python on its last solution.
+        solution: of quadratic programs in Python, by OSQP.
     """
 
     def __init__(
@@ -117,10 +106,10 @@ class GuardedController(HoldsAddresses):
         observer: Observer,
         rest: Callable[[float, float], Vec] | None,
         law: LawPart | None = None,
-        planner: Callable[[], str] | None = None,
+        solution: IterativeSolution | None = None,
     ) -> None:
         self.problem, self._limits, self._observer, self._rest = problem, limits, observer, rest
-        self._outside, self._planner = law, planner
+        self._outside, self._solution = law, solution
         self._address = problem.address
         self._engine = core = engine()
         self._bytes, self._room_bytes = int(core.memory_bytes(self._address)), int(core.room_bytes(self._address))
@@ -185,8 +174,8 @@ class GuardedController(HoldsAddresses):
         memory = np.zeros(self._bytes, dtype=np.uint8)
         x = None if self._rest is None else np.ascontiguousarray(self._rest(angle, held), dtype=np.float64)
         answer = self._engine.controller_init(self._address, memory, x, angle, held, self._room)
-        if fault := last_fault():
-            raise ControllerError(fault)
+        if error := raised_last():
+            raise error
         if answer == _NOT_AT_REST:
             raise self._observer.not_at_rest(x, angle, held)
         law = None if self._outside is None else self._outside.law.init(angle, held)
@@ -208,7 +197,7 @@ class GuardedController(HoldsAddresses):
         memory, room = state.memory.copy(), self._room
         for y, u in zip(angles[first:].tolist(), commands[first:].tolist(), strict=True):
             if self._engine.controller_look_on(self._address, memory, y, u, room):
-                raise ControllerError(f"replay: the model fails at command {u}: {last_fault() or 'not finite'}")
+                raise ControllerError(f"replay: the model fails at command {u}: {' '.join(faults()) or 'not finite'}")
         law = None if self._outside is None else self._outside.law.init(state.due, float(commands[-1]))
         return replace(state, memory=memory, law=law)
 
@@ -252,7 +241,7 @@ class GuardedController(HoldsAddresses):
         age = 0.0 if -_ROUNDING < age < 0.0 else age
         memory = state.memory.copy()
         if not self._engine.controller_measure(self._address, memory, usable_angle(y), age, self._room):
-            raise ControllerError(last_fault() or self._observer.refused(y, age))
+            raise ControllerError("; ".join(faults()) or self._observer.refused(y, age))
         return replace(state, memory=memory)
 
     def stop(self, state: GuardedState, cause: str) -> GuardedState:
@@ -274,6 +263,7 @@ class GuardedController(HoldsAddresses):
         memory, plan, answer = state.memory.copy(), np.empty((2, self._planned)), _COMMAND()
         if state.refusal:
             self._engine.controller_hurry(self._address, memory)
+        forget_faults()
         if self._outside is not None:
             self._outside.begin(state.law)
         address = ctypes.addressof(answer)
@@ -316,18 +306,14 @@ class GuardedController(HoldsAddresses):
         if not (answer.status or answer.missing or known.stalled or level or answer.fault > 0):
             note = "" if self._outside is None or self._outside.answer is None else self._outside.answer.status
             return note or "ok"
-        outside = last_fault()
         more = {
             "cause": state.cause,
             "reference": fault,
             "stalled": state.known.stalled,
             "refusal": state.refusal,
-            "outside": outside,
-            "inverse": outside,
-            "advance": outside,
-            "unfinished": "" if self._planner is None else self._planner(),
+            "unfinished": "" if self._solution is None else f"{self._solution.words}, its best step used",
         }
-        return status_words(answer, level, known.forecast_error, known.stalled, more)
+        return status_words(answer, level, known.forecast_error, known.stalled, faults(), more)
 
     @property
     def _room(self) -> Bytes:

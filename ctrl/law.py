@@ -10,11 +10,12 @@ from typing import Any, ClassVar, Generic, TypeVar, final
 
 import numpy as np
 
+from hystmpc.core.outside import keep_fault
 from hystmpc.core.structs import constants, layout
 from hystmpc.trials.config import Count, NotNegativeInt, Settings
 from hystmpc.trials.types import Vec
 
-from .command import EMPTY, ControlInput, LimitsSettings, Source, Stopwatch, described
+from .command import EMPTY, ControlInput, LimitsSettings, Source, Stopwatch
 from .estimation.observer import SensorKindSettings
 
 M = TypeVar("M")
@@ -111,18 +112,13 @@ class LawPart:
 
     def begin(self, memory: Any) -> None:
         """Set the memory with which the next sample is proposed."""
-        self._local.memory, self._local.answer, self._local.fault = memory, None, ""
+        self._local.memory, self._local.answer = memory, None
 
     @property
     def answer(self) -> Proposal[Any] | None:
         """Proposal of this sample; None where the law failed, or was not asked."""
         answer: Proposal[Any] | None = getattr(self._local, "answer", None)
         return answer
-
-    @property
-    def fault(self) -> str:
-        """One line on what the law has raised in this sample; empty if nothing."""
-        return str(getattr(self._local, "fault", ""))
 
     def __call__(self, given: int, proposal: int) -> int:
         """Ask the law; 0, or 1 where it raises."""
@@ -131,8 +127,8 @@ class LawPart:
             with np.errstate(all="ignore"):
                 answer = self.law.propose(self._local.memory, self._input(asked), Stopwatch())
             out.u = float(answer.u)
-        except Exception as error:  # noqa: BLE001 - a law may raise anything, the loop must go on
-            self._local.fault = described(error)
+        except BaseException as error:  # noqa: BLE001 - through C no exception passes
+            keep_fault(error)
             return 1
         out.source = _SOURCES[answer.source or self.law.source]
         out.planned = planned = min(answer.plan.size, horizon)

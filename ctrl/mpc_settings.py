@@ -14,7 +14,7 @@ from hystmpc.trials.types import Mat, Vec
 
 from .estimation.observer import EstimatorSettings
 from .feedback import SupervisorSettings
-from .guarded import LawSettings
+from .law import LawSettings
 
 
 class WeightsSettings(Settings):

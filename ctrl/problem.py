@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from hystmpc.core.structs import Struct, constants, struct
+from hystmpc.core.structs import Struct, constants, fields_of, struct
 from hystmpc.models.inverse.drive import DrivenInverse
 from hystmpc.models.inverse.inverses import inverted_after_a_hold
 from hystmpc.models.model import Inverse, Predictor, static_gain
@@ -17,8 +17,7 @@ from hystmpc.trials.errors import ControllerError
 
 from .command import CommandLimits, attempt, narrowed_limits
 from .config import AnyControllerSettings
-from .estimation.noise import NoiseBank
-from .estimation.observer import EstimatorSettings
+from .estimation.observer import Observer
 from .feedback import (
     REFERENCE_DEAD_ZONE_DEG,
     FeedforwardSettings,
@@ -27,7 +26,7 @@ from .feedback import (
     PidSettings,
     feedback_gains,
 )
-from .guarded import LawSettings
+from .law import LawPart, LawSettings
 from .law_tables import MoveBlocking
 from .learning.predictor import LearnedInverse, LearnedPredictor
 from .mpc_settings import HoldSettings, LinearisedMpcSettings, PredictiveSettings, SamplingMpcSettings, WeightsSettings
@@ -37,8 +36,6 @@ CHANGES = 1000
 _FOLLOWING, _STEPS = 5, 8  # candidates before those that only search; small steps either way
 _REFINED = 2  # iterations from a plan that is late along a motion
 _LEAVE_SIGMAS = 5.0  # the difference of two independent estimates of one disturbance exceeds this once in 10^4 samples
-_RESOLUTION = 1e-9  # command changes below this share of the command range count as none
-_EARNED_S, _DOUBT = 10.0, 5.0  # of frames: time constant of forgetting; prior doubt, as many frames of pure noise
 _LEAST, _KEPT = 0.05, 0.3  # least share of a direction in the noise; of the elites that take part again
 
 # Of the inverse over a preview: weights on moves, at the sample time of the paper.
@@ -50,26 +47,15 @@ _INVERSE_ITERATIONS = 2
 _WORD = 2**64
 
 
-class Written(NamedTuple):
-    """Parts of a controller that are written in Python, for `problem_of`.
-
-    Attributes:
-        law: `hystmpc_control_law` of a law from outside; None for one of the package.
-        sensing: `hystmpc_sensing` of an observer from outside; None for one of the package.
-        solve: solution of quadratic programs by OSQP, see `hystmpc_planner`.
-    """
-
-    law: Struct | None = None
-    sensing: Struct | None = None
-    solve: Callable[..., int] | None = None
-
-
 def problem_of(
     settings: AnyControllerSettings | LawSettings,
     predictor: Predictor,
     inverse: Inverse,
     limits: CommandLimits,
-    written: Written = Written(),
+    *,
+    observer: Observer | None = None,
+    law: LawPart | None = None,
+    solve: Callable[..., int] | None = None,
 ) -> Struct:
     """Return the `hystmpc_problem` of the controller that `settings` describe.
 
@@ -77,7 +63,9 @@ def problem_of(
         settings: of any kind.
         predictor, inverse: of the model, with or without a learned part.
         limits: hard limits of the device; `settings.limits` may narrow them.
-        written: parts of it that are written in Python.
+        observer: of state and disturbance; that of the settings where left out.
+        law: one that is written in Python.
+        solve: solution of quadratic programs in Python, see `hystmpc_planner`.
 
     Raises:
         ControllerError: if the settings contradict each other or go beyond the device's limits.
@@ -92,7 +80,7 @@ def problem_of(
     if not (math.isfinite(dt) and dt > 0) or missing < 0:
         raise ControllerError(f"controller: got dt {dt}, max_missing_samples {missing}, expected > 0 s and >= 0")
     device = _Device(predictor, inverse, limits, dt)
-    without_model = isinstance(settings, PidControllerSettings) and written.law is None
+    observer = observer or settings.estimator.observer(device.known)
     return struct(
         "hystmpc_problem",
         dt_s=dt,
@@ -103,10 +91,15 @@ def problem_of(
         stop_after=ladder.stop_after_failures,
         most_missing=missing,
         falls_back_on_inverse=settings.falls_back_on_inverse,
-        model=None if without_model else _model(settings, predictor, inverse),
-        sensing=written.sensing or sensing_of(settings, device.known),
-        law=written.law or _law(settings, device, written.solve),
+        model=_model(settings, device) if observer.has_model else None,
+        sensing=observer.part,
+        law=_law(settings, device, solve) if law is None else outside_law(law),
     )
+
+
+def outside_law(law: LawPart) -> Struct:
+    """Return the `hystmpc_control_law` of a law that is written in Python."""
+    return struct("hystmpc_control_law", kind=constants()["HYSTMPC_PROPOSED"], horizon=law.law.horizon, propose=law)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,52 +129,13 @@ class _Device:
         return attempt(lambda: static_gain(self.known))[0] or 0.0
 
 
-def _model(settings: LawSettings, predictor: Predictor, inverse: Inverse) -> Struct:
-    learner = None
+def _model(settings: LawSettings, device: _Device) -> Struct:
+    learned, learner = device.predictor, None
     if isinstance(settings, PredictiveSettings) and settings.adaptation is not None:
-        learned = predictor if isinstance(predictor, LearnedPredictor) else None
-        learned = learned or LearnedPredictor(predictor, settings.adaptation)
+        if not isinstance(learned, LearnedPredictor):
+            learned = LearnedPredictor(learned, settings.adaptation)
         learner = learned.filters(settings.estimator.delay_samples).struct()
-    known = predictor.model if isinstance(predictor, LearnedPredictor) else predictor
-    inverted = inverse.inverse if isinstance(inverse, LearnedInverse) else inverse
-    return struct("hystmpc_model", predictor=known.part, inverse=inverted.part, learner=learner)
-
-
-def sensing_of(settings: LawSettings, predictor: Predictor) -> Struct:
-    """Return the `hystmpc_sensing` of a controller: what is assumed of sensor, device and model."""
-    estimator, kinds = settings.estimator, constants()
-    oldest = estimator.oldest_samples(predictor.dt)
-    if not isinstance(estimator, EstimatorSettings):  # of PID, which has no model
-        newest = "HYSTMPC_NEWEST" if estimator.sensor == "continuous" else "HYSTMPC_NEWEST_FRAME"
-        return struct("hystmpc_sensing", sensor=kinds[newest], oldest=oldest, forgets=1.0)
-    frames = estimator.sensor == "intermittent"
-    known: dict[str, Any] = {"delay": estimator.delay_samples, "rest_tolerance": estimator.rest_tolerance_deg}
-    if estimator.sensor == "none":
-        return struct("hystmpc_sensing", sensor=kinds["HYSTMPC_NO_SENSOR"], forgets=1.0, **known)
-    bank = noise_bank(estimator, predictor)
-    low, high = predictor.command_range
-    return struct(
-        "hystmpc_sensing",
-        **known,
-        sensor=kinds["HYSTMPC_FRAMES" if frames else "HYSTMPC_CONTINUOUS"],
-        oldest=oldest,
-        outlier=estimator.outlier_deg,
-        dead_band_gain=estimator.dead_band_gain_deg_per_unit,
-        resolution=_RESOLUTION * abs(high - low),
-        forgets=math.exp(-predictor.dt / _EARNED_S) if frames else 1.0,
-        doubt=_DOUBT,
-        logs=bank.sensor_logs if frames else None,
-        noise=bank.struct(),
-    )
-
-
-def noise_bank(estimator: EstimatorSettings, predictor: Predictor) -> NoiseBank:
-    """Return the bank of noise filters of an estimator; with frames it knows the usual error of the model."""
-    frames = estimator.sensor == "intermittent"
-    usual = predictor.noise.model_sigma_deg if predictor.noise and frames else None
-    sensor, drift = estimator.sensor_sigma_deg, estimator.drift_sigma_deg_per_sqrt_s
-    given = sensor, drift, estimator.motion_sigma_deg_per_sqrt_unit
-    return NoiseBank(given, predictor, estimator.disturbance_limit_deg, usual)
+    return struct("hystmpc_model", predictor=device.known.part, inverse=device.inverted.part, learner=learner)
 
 
 def _law(settings: LawSettings, device: _Device, solve: Callable[..., int] | None) -> Struct:
@@ -377,3 +331,21 @@ def _sampling(settings: SamplingMpcSettings, device: _Device, horizon: int) -> S
         whitening=np.linalg.inv(factor).T,
         fitted=law_over(settings.weights, horizon, device.limits, device.dt, None if single else blocks),
     )
+
+
+_WRITTEN = {
+    "hystmpc_control_law": "a law",
+    "hystmpc_planner": "a solver of quadratic programs",
+    "hystmpc_outside": "a model or an inverse",
+}
+
+
+def written_in(part: Struct) -> str:
+    """Return what of a controller is written in Python, in words; empty if nothing."""
+    for field in fields_of(part.name):
+        value = part.fields.get(field.name)
+        if value is not None and field.arguments is not None:
+            return _WRITTEN.get(part.name, part.name)
+        if isinstance(value, Struct) and (found := written_in(value)):
+            return found
+    return ""

@@ -11,7 +11,7 @@ import numpy as np
 
 from hystmpc.ctrl.build import build_controller, pair_for
 from hystmpc.ctrl.command import CommandLimits, limits_of_model
-from hystmpc.ctrl.guarded import LawSettings
+from hystmpc.ctrl.law import LawSettings
 from hystmpc.ctrl.loop import Controller
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.models.contract.metadata import NoiseModel

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from hystmpc.ctrl.guarded import LawSettings
+from hystmpc.ctrl.law import LawSettings
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 from hystmpc.models.load import load_model, model_path
 from hystmpc.models.simulator import Simulator, load_simulator

@@ -11,7 +11,7 @@ import numpy as np
 from hystmpc.core.library import engine
 from hystmpc.core.outside import raised_last
 from hystmpc.core.rooms import in_room
-from hystmpc.core.structs import Struct, struct
+from hystmpc.core.structs import Struct, constants, struct
 from hystmpc.trials.types import Vec
 
 from .model import Inverse, Predictor, kind_of
@@ -109,6 +109,12 @@ class EnginePredictor(Predictor):
 def pair_part(kind: str, first: Predictor, second: Predictor, size: int) -> Struct:
     """Two predictors as one `hystmpc_predictor`, with so many entries of its state."""
     return struct("hystmpc_predictor", kind=kind_of(kind), states=size, first=first.part, second=second.part)
+
+
+def pair_rest(first: Predictor, second: Predictor) -> Struct:
+    """States at rest of two predictors as one `hystmpc_rest_rule`."""
+    rests = {"first": first.rest_part, "second": second.rest_part}
+    return struct("hystmpc_rest_rule", kind=constants()["HYSTMPC_RESTS"], **rests)
 
 
 class EngineInverse(Inverse):

@@ -177,6 +177,11 @@ class Predictor(WithPart, ABC):
         outside = PythonMethods(self, self.state_size).predictor()
         return struct("hystmpc_predictor", kind=kind_of("WRITTEN"), states=self.state_size, outside=outside)
 
+    @property
+    def rest_part(self) -> Struct | None:
+        """What `initial` does as the engine reads it, `hystmpc_rest_rule`; None of a predictor written in Python."""
+        return None
+
     @abstractmethod
     def initial(self, y: float, u: float) -> Vec:
         """State (S,) of a device at angle `y` [deg] after a constant command `u`."""
@@ -205,6 +210,10 @@ class ModelPredictor(Predictor):
         self.command_range = (metadata.trained_command.lower, metadata.trained_command.upper)
         self.noise, self.model_sigma_deg = metadata.noise, metadata.model_sigma_deg
         self._rest = RestRule(metadata, start)
+
+    @property
+    def rest_part(self) -> Struct | None:
+        return self._rest.part
 
     def initial(self, y: float, u: float) -> Vec:
         state = self._rest.states(np.array([u]), np.array([y]))[0]

@@ -12,7 +12,8 @@ import numpy as np
 
 from hystmpc.ctrl.build import build_controller, pair_for
 from hystmpc.ctrl.command import CommandLimits, Source, limits_of_model
-from hystmpc.ctrl.guarded import GuardedController, LawSettings
+from hystmpc.ctrl.guarded import GuardedController
+from hystmpc.ctrl.law import LawSettings
 from hystmpc.ctrl.planner.reach import angles_at_rest
 from hystmpc.models.load import load_model, model_path
 from hystmpc.models.prediction.build import ControllerModel, controller_model

@@ -68,6 +68,9 @@ class NoiseBank:
         model_sigma_deg: usual error of the model [deg], for few and noisy measurements. The model is then assumed to be
             that accurate at first, with a probability of 0.95: the filters of the least drift and motion hold half of
             it for the standard deviation of their disturbance, and the disturbance starts at zero.
+
+    Attributes:
+        size: number of filters M.
     """
 
     def __init__(
@@ -99,7 +102,7 @@ class NoiseBank:
         self._first, self._widest = first, most
         scalars = np.array([*self._counts, self._switching, self._most, limit_deg])
         values = np.concatenate([scalars, *self._tables().values()]).tolist()
-        self._numbers, self._size = (ctypes.c_double * len(values))(*values), grid.shape[1]
+        self._numbers, self.size = (ctypes.c_double * len(values))(*values), grid.shape[1]
 
     def _tables(self) -> Mapping[str, Vec]:
         """Tables of `hystmpc_noise` in core/estimator.h, in their order."""
@@ -120,7 +123,7 @@ class NoiseBank:
         return {
             **dict(zip(("sensors", "drifts", "motions"), self._counts, strict=True)),
             **self._tables(),
-            "filters": self._size,
+            "filters": self.size,
             "switching": self._switching,
             "most_gain": self._most,
             "disturbance_limit": self._limit,
@@ -139,7 +142,7 @@ class NoiseBank:
 
     def init(self, disturbance: float) -> tuple[Vec, float]:
         """Return the initial bank (3, M) for a disturbance [deg], rows disturbance, variance, weight; its variance."""
-        bank = np.empty((3, self._size))
+        bank = np.empty((3, self.size))
         return bank, engine().bank_init(self._numbers, bank, disturbance)
 
     def correct(self, bank: Vec, offset: float) -> tuple[Vec, float, float]:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, Literal, NamedTuple, final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hystmpc.core.structs import Struct, constants, struct
+from hystmpc.core.structs import Struct, constants, layout, struct
 from hystmpc.models.model import Predictor
 from hystmpc.trials.brief import brief
 from hystmpc.trials.config import NotNegative, NotNegativeInt, Positive, Settings
@@ -18,9 +21,13 @@ from hystmpc.trials.types import Vec
 from ..command import EMPTY, number_of
 from .noise import NoiseBank
 
+Bytes = NDArray[np.uint8]
+
 ANGLE_BOUND_DEG = 1e4  # far beyond any joint; keeps squares and sums of angles finite
 
 _EARNED_S, _DOUBT = 10.0, 5.0  # of frames: time constant of forgetting; prior doubt, as many frames of pure noise
+_KNOWN = layout("hystmpc_known")
+_BEHIND_KNOWN = -(-ctypes.sizeof(_KNOWN) // 8) * 8
 _RESOLUTION = 1e-9  # command changes below this share of the command range count as none
 
 
@@ -81,6 +88,29 @@ class Places(NamedTuple):
     filters: int
 
 
+def read_estimate(memory: Bytes, places: Places) -> Estimate:
+    """Read the estimate that begins a memory (B,): see `hystmpc_estimate` in core/observer.h."""
+    k, numbers = _KNOWN.from_address(memory.ctypes.data), memory[_BEHIND_KNOWN:].view(np.float64)
+    ends = np.cumsum([0, places.states, *[places.angles] * 3, 3 * places.filters]).tolist()
+    model, angles, responsive, moves, bank = (numbers[a:b] for a, b in pairwise(ends))
+    return Estimate(
+        state=model,
+        command=k.command,
+        angles=tuple(angles.tolist()),
+        responsive=tuple(bool(one) for one in responsive.tolist()),
+        moves=tuple(moves.tolist()),
+        disturbance=k.disturbance,
+        variance=k.variance,
+        measured=k.measured,
+        missing=k.missing,
+        stalled=k.stalled,
+        added=k.added,
+        forecast_error=k.forecast_error,
+        bank=bank.reshape(3, -1),
+        since=k.since,
+    )
+
+
 @final
 class Observer:
     """Observer of the model's state, and of a random-walk output disturbance, as the engine has it.
@@ -123,7 +153,7 @@ class Observer:
         return np.asarray(np.sqrt(estimate.variance + self._bank.ahead(estimate.bank, travels)))
 
     def not_at_rest(self, x: Vec | None, y: float, u: float) -> ControllerError:
-        """Return the error of a start at the angle `y` [deg] that the model, at rest in the state x, does not expect."""
+        """Return the error of a start at the angle `y` [deg] that the model at rest in the state x does not expect."""
         angle = math.nan if self._predictor is None or x is None else self._predictor.advance(x, u)[0]
         if not math.isfinite(angle):
             return ControllerError(
@@ -211,7 +241,8 @@ class EstimatorSettings(SensorKindSettings):
         """Build the observer of a model, without a learned part."""
         known: dict[str, Any] = {"delay": self.delay_samples, "rest_tolerance": self.rest_tolerance_deg}
         if self.sensor == "none":
-            return Observer(struct("hystmpc_sensing", sensor=_SENSORS["HYSTMPC_NO_SENSOR"], forgets=1.0, **known), predictor)
+            part = struct("hystmpc_sensing", sensor=_SENSORS["HYSTMPC_NO_SENSOR"], forgets=1.0, **known)
+            return Observer(part, predictor)
         frames = self.sensor == "intermittent"
         usual = predictor.noise.model_sigma_deg if predictor.noise and frames else None
         sigmas = self.sensor_sigma_deg, self.drift_sigma_deg_per_sqrt_s, self.motion_sigma_deg_per_sqrt_unit

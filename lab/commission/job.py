@@ -19,7 +19,8 @@ from hystmpc.bench.identify import TIP_FILE, tip_settings
 from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.command import limits_of_model
 from hystmpc.ctrl.feedback import InverseControllerSettings, PidControllerSettings
-from hystmpc.ctrl.guarded import GuardedController, GuardedState, LawSettings
+from hystmpc.ctrl.guarded import GuardedController, GuardedState
+from hystmpc.ctrl.law import LawSettings
 from hystmpc.ctrl.loop import Controller, ImagingSettings, NoSensorSettings, Plant
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.gap.diagnose import diagnose_trials

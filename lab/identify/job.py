@@ -19,7 +19,8 @@ from hystmpc.ctrl.feedback import (
     PidControllerSettings,
     PidSettings,
 )
-from hystmpc.ctrl.guarded import GuardedController, LawSettings
+from hystmpc.ctrl.guarded import GuardedController
+from hystmpc.ctrl.law import LawSettings
 from hystmpc.ctrl.loop import Controller, ImagingSettings, NoSensorSettings
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 from hystmpc.models.contract.export import export_onnx

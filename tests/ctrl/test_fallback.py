@@ -10,7 +10,8 @@ import pytest
 from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.command import Command, CommandLimits, ControlInput, Source, Stopwatch
 from hystmpc.ctrl.config import CONTROLLERS
-from hystmpc.ctrl.guarded import FallbackChain, FallbackSettings, GuardedController, Law, Proposal
+from hystmpc.ctrl.guarded import GuardedController
+from hystmpc.ctrl.law import FallbackSettings, Law, Proposal
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.errors import ConfigError, ControllerError
 from hystmpc.trials.types import Vec

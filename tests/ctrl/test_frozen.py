@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.ctrl.command import replace
-from hystmpc.ctrl.guarded import FallbackState
 
 CHANGES = st.fixed_dictionaries({}, optional={"failures": st.integers(), "stopped": st.booleans(), "cause": st.text()})
 

@@ -11,7 +11,8 @@ import pytest
 
 from hystmpc.ctrl.command import CommandLimits, Source, Stopwatch, attempt
 from hystmpc.ctrl.estimation.observer import EstimatorSettings, OutputEstimator
-from hystmpc.ctrl.guarded import FallbackChain, FallbackSettings, GuardedController
+from hystmpc.ctrl.guarded import GuardedController
+from hystmpc.ctrl.law import FallbackSettings
 from hystmpc.ctrl.linearised.planner import LinearisedPlanner, TrackingQp
 from hystmpc.ctrl.linearised.qp import (
     ActiveSetOptions,

@@ -16,7 +16,7 @@ from hystmpc.ctrl.build import law_of
 from hystmpc.ctrl.command import CommandLimits, ControlInput, Stopwatch
 from hystmpc.ctrl.config import CONTROLLERS, PythonControllerSettings, parse_controller
 from hystmpc.ctrl.feedback import InverseControllerSettings
-from hystmpc.ctrl.guarded import Law, LawSettings, Proposal
+from hystmpc.ctrl.law import Law, LawSettings, Proposal
 from hystmpc.models.effects.catalogue import EFFECTS
 from hystmpc.models.effects.effect import Effect
 from hystmpc.models.model import Inverse, Predictor
