@@ -38,7 +38,7 @@ class PythonMethods:
         state = _numbers(x, self._size)
         angle, following = self._owner.advance(state.copy(), u)
         after = _shaped(following, state.shape)
-        _numbers(theta, 1)[:] = float(angle)
+        ctypes.c_double.from_address(theta).value = float(angle)
         state[:] = after
 
     def _run(self, x: int, rows: int, samples: int, plans: int, angles: int) -> None:
@@ -51,7 +51,8 @@ class PythonMethods:
         _numbers(jacobian, samples, samples)[:] = _shaped(slopes, (samples, samples))
 
     def _command(self, x: int, states: int, theta: float, u_last: float, u: int) -> None:
-        _numbers(u, 1)[:] = float(self._owner.command(_numbers(x, states).copy(), theta, u_last))
+        command = self._owner.command(_numbers(x, states).copy(), theta, u_last)
+        ctypes.c_double.from_address(u).value = float(command)
 
 
 def _numbers(address: int, *shape: int) -> Vec:
