@@ -27,8 +27,12 @@ class PythonMethods:
 
     def predictor(self) -> Struct:
         """`hystmpc_outside` of a predictor."""
-        functions = {"advance": self._advance, "run": self._run, "linearise": self._linearise}
-        return struct("hystmpc_outside", **{name: guarded(function) for name, function in functions.items()})
+        return struct(
+            "hystmpc_outside",
+            advance=guarded(self._advance),
+            run=guarded(self._run),
+            linearise=guarded(self._linearise),
+        )
 
     def inverse(self) -> Struct:
         """`hystmpc_outside` of an inverse."""
@@ -58,7 +62,7 @@ class PythonMethods:
 def _numbers(address: int, *shape: int) -> Vec:
     """The numbers at an address."""
     memory = (ctypes.c_double * math.prod(shape)).from_address(address)
-    return np.ndarray(shape, dtype=np.float64, buffer=memory)
+    return np.ndarray(shape, dtype=np.float64, buffer=memoryview(memory))
 
 
 def _shaped(values: Any, shape: tuple[int, ...]) -> Vec:
