@@ -53,28 +53,6 @@ void hystmpc_filters_state(const hystmpc_learner *n, const real *past, const rea
     hystmpc_learning_state(n, past, l, (hystmpc_learned *)(void *)part);
 }
 
-void hystmpc_part_run(const hystmpc_basis *b, const real *part, const real *plans, int count, int samples,
-                      real *angles) {
-    const hystmpc_learned *s = (const hystmpc_learned *)(const void *)part;
-    for (int n = 0; n < count; n++, plans += samples, angles += samples)
-        hystmpc_add_learned(b, s, plans, samples, angles);
-}
-
-void hystmpc_part_linearise(const hystmpc_basis *b, const real *part, const real *plan, int samples,
-                            real *block) {
-    const hystmpc_learned *s = (const hystmpc_learned *)(const void *)part;
-    real *jacobian = block + samples;
-    hystmpc_add_learned(b, s, plan, samples, block);
-    hystmpc_add_slopes(b, s, plan, samples, jacobian, jacobian + samples * samples);
-}
-
-real hystmpc_part_advance(const hystmpc_basis *b, real *part, real u, real angle) {
-    hystmpc_learned *s = (hystmpc_learned *)(void *)part;
-    hystmpc_add_learned(b, s, &u, 1, &angle);
-    hystmpc_learned_advance(b, s, u);
-    return angle;
-}
-
 void hystmpc_learning_bytes(int *bytes) {
     bytes[0] = (int)sizeof(hystmpc_basis);
     bytes[1] = (int)sizeof(hystmpc_learner);

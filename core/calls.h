@@ -23,16 +23,6 @@ HYSTMPC_API void hystmpc_filters_correct(const hystmpc_learner *n, const real *p
 HYSTMPC_API void hystmpc_filters_state(const hystmpc_learner *n, const real *past, const real *filters,
                                        real *part);
 
-/* A learned part along plans (plans, samples): angles (plans, samples) of the model <- those of the whole. */
-HYSTMPC_API void hystmpc_part_run(const hystmpc_basis *b, const real *part, const real *plans, int count,
-                                  int samples, real *angles);
-/* The same along one plan. `block`: rows of so many samples, the angles, the jacobian (samples), HYSTMPC_MEMORY + 2
- * for work. */
-HYSTMPC_API void hystmpc_part_linearise(const hystmpc_basis *b, const real *part, const real *plan, int samples,
-                                        real *block);
-/* One sample later; answers the whole's angle. */
-HYSTMPC_API real hystmpc_part_advance(const hystmpc_basis *b, real *part, real u, real angle);
-
 /* Bytes of `hystmpc_basis`, `hystmpc_learner`, `hystmpc_filters` and `hystmpc_learned`: Python lays out the same. */
 HYSTMPC_API void hystmpc_learning_bytes(int *bytes);
 

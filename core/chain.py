@@ -179,16 +179,12 @@ class ChainCode:
         memory = _memory(self._single)
         return float(self.functions.chain_command_for(self.code, kept, state, wanted, low, high, last, memory))
 
-    def lead(
-        self, kept: Array, state: Array, wanted: Array, last: float, reach: float, numbers: Array
-    ) -> tuple[Array, Array, int]:
-        """Inputs (H,) whose outputs come closest to `wanted` (H,), these outputs, and the first that they change."""
+    def lead(self, kept: Array, state: Array, wanted: Array, last: float, reach: float) -> tuple[Array, Array]:
+        """Inputs (H,) whose outputs come closest to `wanted` (H,), and these outputs; see `follow.h`."""
         inputs, outputs = np.empty((2, wanted.size))
         memory = _memory(self.functions.lead_drive_bytes(self.code, wanted.size))
-        first = self.functions.lead_drive(
-            self.code, kept, state, wanted, wanted.size, last, reach, numbers, inputs, outputs, memory
-        )
-        return inputs, outputs, int(first)
+        self.functions.lead_drive(self.code, kept, state, wanted, wanted.size, last, reach, inputs, outputs, memory)
+        return inputs, outputs
 
 
 @final
@@ -231,14 +227,14 @@ class PreparedChain:
         """Command in [low, high] whose next output is `wanted`."""
         return self.code.command_for(self.kept, self._checked(state), wanted, low, high, last)
 
-    def lead(self, state: Array, wanted: Array, last: float, reach: float, numbers: Array) -> tuple[Array, Array, int]:
+    def lead(self, state: Array, wanted: Array, last: float, reach: float) -> tuple[Array, Array]:
         """Inputs (H,) that lead a drive along `wanted` (H,), see `ChainCode.lead`."""
-        return self.code.lead(self.kept, self._checked(state), _doubles(wanted), last, reach, numbers)
+        return self.code.lead(self.kept, self._checked(state), _doubles(wanted), last, reach)
 
-    def _checked(self, state: Array, of_network: int = 0) -> Array:
-        """State (S,), with so many numbers of a network beside it, as the engine reads it."""
-        if state.shape != (self.code.states + of_network,):
-            raise ValueError(f"state: got shape {state.shape}, expected ({self.code.states + of_network},)")
+    def _checked(self, state: Array) -> Array:
+        """State (S,) as the engine reads it."""
+        if state.shape != (self.code.states,):
+            raise ValueError(f"state: got shape {state.shape}, expected ({self.code.states},)")
         return _doubles(state)
 
 

@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 
 from hystmpc.core.library import engine
-from hystmpc.ctrl.law_tables import LawTables
-from hystmpc.ctrl.mpc import PlanningProblem
-from hystmpc.ctrl.mpc_settings import WeightsSettings
+from hystmpc.core.rooms import in_room
+from hystmpc.core.structs import struct
 from hystmpc.models.stages import prepared
 
 from ..models.lstm_examples import make_route, random_weights
@@ -59,15 +58,17 @@ def test_a_network_has_weights_of_its_own(copied: Callable[[Any], Any]) -> None:
 
 
 @copies
-def test_a_law_and_a_problem_have_memory_of_their_own(copied: Callable[[Any], Any]) -> None:
-    tables = LawTables(WeightsSettings(), 20)
-    problem = PlanningProblem(np.zeros(3), 1.0, PLAN, PLAN, (0.0, 90.0))
-    values, again = np.empty(1), np.empty(1)
-    engine().costs(tables.address, problem.task, 1, PLAN[None].copy(), 2 * PLAN[None], values)
-    law, task = copied(tables), copied(problem)
-    assert law.address != tables.address
-    assert task.task != problem.task
-    del tables, problem
+def test_a_predictor_of_the_engine_has_memory_of_its_own(copied: Callable[[Any], Any]) -> None:
+    chain = prepared([RATE_PI], DT)
+    tables = {"states": chain.code.states, "chain": chain.code.code, "kept": chain.kept}
+    part = struct("hystmpc_predictor", **tables)
+    state, values, again = np.zeros(chain.code.states), np.empty((1, 20)), np.empty((1, 20))
+    size = engine().predictor_bytes(part.address, 1, 20)
+    in_room(size, engine().predictor_run, part.address, state, 1, 20, PLAN[None].copy(), values)
+    made = copied(part)
+    assert made.address != part.address
+    assert made.fields["chain"].ctypes.data != part.fields["chain"].ctypes.data
+    del part
     gc.collect()
-    engine().costs(law.address, task.task, 1, PLAN[None].copy(), 2 * PLAN[None], again)
+    in_room(size, engine().predictor_run, made.address, state, 1, 20, PLAN[None].copy(), again)
     np.testing.assert_array_equal(again, values)
