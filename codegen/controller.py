@@ -25,7 +25,6 @@ from hystmpc.models.networks.route import NetworkRoute
 from hystmpc.models.prediction.build import controller_model
 from hystmpc.models.program import BINARY, UNARY
 from hystmpc.models.stages import CODES
-from hystmpc.models.written import written_in
 from hystmpc.trials.errors import ExportError
 from hystmpc.trials.files import write_atomically
 
@@ -177,10 +176,10 @@ def _problem(settings: TipSettings, folder: Path) -> tuple[Struct, Predictor, st
     predictor, inverted = known.predictive if controller.predicts else known.feedforward
     limits = modelled_limits(settings.limits, limits_of_model(facts))
     problem = problem_of(controller, predictor, inverted, limits)
-    if written := next(written_in(problem), None):
+    if any(isinstance(part, Struct) and part.name == "hystmpc_outside" for part in _parts(problem)):
         raise ExportError(
-            f"export-c: got a model of kind {facts.kind} whose {type(written.owner).__name__} is computed by Python, "
-            "supported are operators, lstm and gru, and what connects them"
+            f"export-c: got a model of kind {facts.kind} that is computed in Python, supported are operators, lstm, gru, "
+            "and what connects them"
         )
     least, most, dt = problem.fields["lower"], problem.fields["upper"], problem.fields["dt_s"]
     rate = problem.fields["reach"] / dt

@@ -28,18 +28,18 @@ class Written:
     """
 
     def __init__(self, owner: Any, size: int = 0) -> None:
-        self.owner, self._size = owner, size
+        self._owner, self._size = owner, size
         self.error: BaseException | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Written, (self.owner, self._size)
+        return Written, (self._owner, self._size)
 
     def advance(self, x: int, u: float, theta: int) -> int:
         """One sample later, see `hystmpc_outside`."""
 
         def answer() -> None:
             state = _numbers(x, self._size)
-            angle, following = self.owner.advance(state.copy(), u)
+            angle, following = self._owner.advance(state.copy(), u)
             after = _shaped(following, state.shape)
             _numbers(theta, 1)[:] = float(angle)
             state[:] = after
@@ -52,7 +52,7 @@ class Written:
         def answer() -> None:
             given = _numbers(plans, rows, samples).copy()
             _numbers(angles, rows, samples)[:] = _shaped(
-                self.owner.rollout(_numbers(x, self._size).copy(), given), given.shape
+                self._owner.rollout(_numbers(x, self._size).copy(), given), given.shape
             )
 
         return self._answered(answer)
@@ -62,7 +62,7 @@ class Written:
 
         def answer() -> None:
             given = _numbers(plan, samples).copy()
-            along, slopes = self.owner.linearise(_numbers(x, self._size).copy(), given)
+            along, slopes = self._owner.linearise(_numbers(x, self._size).copy(), given)
             _numbers(angles, samples)[:] = _shaped(along, (samples,))
             _numbers(jacobian, samples, samples)[:] = _shaped(slopes, (samples, samples))
 
@@ -72,7 +72,7 @@ class Written:
         """Command for an angle, see `hystmpc_outside`."""
 
         def answer() -> None:
-            _numbers(u, 1)[:] = float(self.owner.command(_numbers(x, states).copy(), theta, u_last))
+            _numbers(u, 1)[:] = float(self._owner.command(_numbers(x, states).copy(), theta, u_last))
 
         return self._answered(answer)
 
