@@ -18,7 +18,7 @@ from hystmpc.core.structs import Struct, constants
 from hystmpc.ctrl.command import limits_of_model, modelled_limits
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.ctrl.planner.settings import TipSettings, read_settings
-from hystmpc.ctrl.problem import problem_of
+from hystmpc.ctrl.problem import problem_of, written_in
 from hystmpc.models.load import load_model, model_path
 from hystmpc.models.model import Predictor
 from hystmpc.models.networks.route import NetworkRoute
@@ -37,6 +37,7 @@ ENGINE = (
     "slopes",
     "rest",
     "inverse",
+    "follow",
     "network",
     "moves",
     "drive",
@@ -176,10 +177,10 @@ def _problem(settings: TipSettings, folder: Path) -> tuple[Struct, Predictor, st
     predictor, inverted = known.predictive if controller.predicts else known.feedforward
     limits = modelled_limits(settings.limits, limits_of_model(facts))
     problem = problem_of(controller, predictor, inverted, limits)
-    if any(isinstance(part, Struct) and part.name == "hystmpc_outside" for part in _parts(problem)):
+    if written := written_in(problem):
         raise ExportError(
-            f"export-c: got a model of kind {facts.kind} that is computed in Python, supported are operators, lstm, gru, "
-            "and what connects them"
+            f"export-c: got a model of kind {facts.kind} with {written} that is computed by Python, "
+            "supported are operators, lstm and gru, and what connects them"
         )
     least, most, dt = problem.fields["lower"], problem.fields["upper"], problem.fields["dt_s"]
     rate = problem.fields["reach"] / dt

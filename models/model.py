@@ -174,8 +174,7 @@ class Predictor(WithPart, ABC):
     @cached_property
     def part(self) -> Struct:
         """The predictor as the engine reads it, `hystmpc_predictor`; it calls the methods of one written in Python."""
-        written = Written(self, self.state_size)
-        outside = struct("hystmpc_outside", advance=written.advance, run=written.run, linearise=written.linearise)
+        outside = Written(self, self.state_size).predictor()
         return struct("hystmpc_predictor", kind=kind_of("WRITTEN"), states=self.state_size, outside=outside)
 
     @property
@@ -237,8 +236,7 @@ class Inverse(WithPart, ABC):
     @cached_property
     def part(self) -> Struct:
         """The inverse as the engine reads it, `hystmpc_inverse`; it calls `command` of one written in Python."""
-        outside = struct("hystmpc_outside", command=Written(self).command)
-        return struct("hystmpc_inverse", kind=kind_of("ANSWERED"), outside=outside)
+        return struct("hystmpc_inverse", kind=kind_of("ANSWERED"), outside=Written(self).inverse())
 
     @abstractmethod
     def command(self, state: Vec, theta: float, u_last: float) -> float:
