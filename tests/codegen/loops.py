@@ -90,7 +90,7 @@ def compare(
         if k % 700 == 699:
             state = controller.stop(state, "asked for")
             c.stop()
-        since = since + 1 if state.fallback.stopped else 0
+        since = since + 1 if state.stopped else 0
         if since == 30:
             since = 0
             state = controller.init(angles[0], float(sent[k - 1, 0]))
