@@ -52,7 +52,6 @@ ENGINE = (
     "qp",
     "law",
     "normals",
-    "planning",
     "sampling",
     "random_plans",
     "planner",

@@ -43,7 +43,7 @@ static int finite_all(const void *at, int count) {
 }
 
 static const hystmpc_head *remembered(hystmpc_memory *m) {
-    (&exported_problem, memory_of(&controller), m);
+    hystmpc_memory_at(&exported_problem, memory_of(&controller), m);
     return m->head;
 }
 
