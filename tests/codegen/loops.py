@@ -80,14 +80,14 @@ def _device(lag_s: float) -> Predictor:
     return SeriesPredictor(Drive((Lag(lag_s),), model.metadata), device) if lag_s else device
 
 
-def _framed(controller: Any, state: Any, c: Library, given: list[float], k: int) -> Any:
-    """The state after a frame of some samples ago; both say the same of one that cannot be used."""
-    age = 0.5 * (k % 11)
+def _framed(controller: Any, state: Any, c: Library, given: list[float], k: int) -> tuple[Any, list[float]]:
+    """The state after a frame of some samples ago, and no angles; both say the same of one that cannot be used."""
+    age, nothing = 0.5 * (k % 11), [np.nan] * 2
     if k % 7:
-        return state
+        return state, nothing
     after, refused = attempt(lambda: controller.measure(state, given[0], age))
     assert c.measure(given[1], age) == (not refused)
-    return after or state
+    return after or state, nothing
 
 
 def compare(
@@ -125,9 +125,7 @@ def compare(
             int(fault[k]), [angle + shift for angle in angles]
         )
         seen = given if fault[k] == 0 else seen
-        if frames:
-            state = _framed(controller, state, c, given, k)
-            given = [np.nan] * 2
+        state, given = _framed(controller, state, c, given, k) if frames else (state, given)
         given_c = c.vector(reference)
         before = thread_time()
         command, state = controller.step(state, given[0], reference)
