@@ -9,7 +9,6 @@ from hystmpc.core.structs import constants
 
 from .command import Source
 from .feedback import LEVELS
-from .linearised.qp import status_of
 
 _CODES = constants()
 SOURCES: tuple[Source, ...] = (
@@ -38,6 +37,10 @@ _REASONS: Mapping[int, str] = {
     }.items()
 }
 _PLANNER: Mapping[int, str] = {
+    _CODES["HYSTMPC_QP_INFEASIBLE"]: "active set: primal infeasible",
+    _CODES["HYSTMPC_QP_NOT_CONVEX"]: "active set: not convex",
+    _CODES["HYSTMPC_QP_NOT_FINITE"]: "active set: solution not finite",
+    _CODES["HYSTMPC_QP_UNFINISHED"]: "active set: maximum changes reached",
     _CODES["HYSTMPC_NO_JACOBIAN"]: "the model's Jacobian is not finite",
     _CODES["HYSTMPC_NO_PROGRAM"]: "the quadratic program is not finite",
     _CODES["HYSTMPC_NO_SAMPLE"]: "no random plan has a finite prediction",
@@ -47,7 +50,7 @@ _PLANNER: Mapping[int, str] = {
 
 def planner_words(fault: int) -> str:
     """Return why a planner has no plan, by its answer."""
-    return _PLANNER.get(fault) or f"active set: {status_of(fault)}"
+    return _PLANNER.get(fault, f"exit flag {fault}")
 
 
 def status_words(answer: Any, level: int, forecast_error: float, stalled: int, more: Mapping[str, Any]) -> str:
