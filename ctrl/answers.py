@@ -21,7 +21,7 @@ SOURCES: tuple[Source, ...] = (
 )
 """Levels of fallback in the order of the engine's HYSTMPC_MPC ... HYSTMPC_STOP."""
 
-OK, FAILED = _CODES["HYSTMPC_OK"], _CODES["HYSTMPC_FAILED"]
+OK, NO_SOLUTION = _CODES["HYSTMPC_OK"], _CODES["HYSTMPC_NO_SOLUTION"]
 _REASONS: Mapping[int, str] = {
     _CODES[f"HYSTMPC_{name}"]: text
     for name, text in {
@@ -62,7 +62,7 @@ def status_words(answer: Any, level: int, forecast_error: float, stalled: int, m
         forecast_error: relative error of the forecasts.
         stalled: samples for which the model has not advanced, after the step.
         more: words of the reasons that are known outside the engine: cause, reference, stalled (before the step),
-            refusal, outside, inverse, advance, unfinished.
+            refusal, outside, inverse, advance, unfinished; planner, where Python solves its programs.
     """
     source, notes = SOURCES[answer.source], []
     if answer.status != OK:

@@ -22,7 +22,7 @@ from hystmpc.trials.brief import brief, in_brief
 from hystmpc.trials.errors import ControllerError, HystmpcError, shown
 from hystmpc.trials.types import Index, Vec
 
-from .answers import SOURCES, status_words
+from .answers import NO_SOLUTION, SOURCES, status_words
 from .command import EMPTY, Command, CommandLimits, Timing, described, number_of, numbers_of, replace
 from .estimation.observer import ANGLE_BOUND_DEG, Estimate, Observer, Places, usable_angle
 from .law import Law, LawPart
@@ -334,6 +334,8 @@ class GuardedController(HoldsAddresses):
             "advance": model,
             "unfinished": "" if self._solution is None else f"{self._solution.words}, its best step used",
         }
+        if self._solution is not None and answer.status == NO_SOLUTION:
+            more["planner"] = self._solution.words
         return status_words(answer, level, known.forecast_error, known.stalled, more)
 
     @staticmethod

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hystmpc.core.structs import Struct, struct
 from hystmpc.trials.errors import ControllerError
-from hystmpc.trials.types import Mat, Vec
+from hystmpc.trials.types import Mat
 
 from .command import CommandLimits
 from .mpc_settings import WeightsSettings
