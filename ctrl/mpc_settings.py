@@ -63,7 +63,7 @@ class WeightsSettings(Settings):
 
 
 class HoldSettings(Settings):
-    """Hold of the command, and slow correction of a remaining error; judged by `judge_hold` of core/predictive.c in samples.
+    """Hold of the command, and slow correction of a remaining error; see core/predictive.c, which counts samples.
 
     Attributes:
         tolerance_deg: distance from the reference that always counts as reached [deg].
