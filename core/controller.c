@@ -22,7 +22,7 @@ long hystmpc_memory_bytes(const void *problem) {
 static int within(int count, int most_of_it) { return count < 0 ? 0 : count < most_of_it ? count : most_of_it; }
 
 /* Parts of a memory; counts that a foreign memory may have wrong are kept within them. */
-static void memory_at(const hystmpc_problem *p, char *memory, hystmpc_memory *m) {
+void hystmpc_memory_at(const hystmpc_problem *p, char *memory, hystmpc_memory *m) {
     const int horizon = p->law->horizon;
     m->head = (hystmpc_head *)(void *)memory;
     hystmpc_observed_at(p->sensing, p->model, memory + head_bytes(), &m->observed);
@@ -66,26 +66,26 @@ static void latch(hystmpc_head *head) {
 
 void hystmpc_controller_stop(const void *problem, char *memory) {
     hystmpc_memory m;
-    memory_at(problem, memory, &m);
+    hystmpc_memory_at(problem, memory, &m);
     latch(m.head);
 }
 
 void hystmpc_controller_hurry(const void *problem, char *memory) {
     hystmpc_memory m;
-    memory_at(problem, memory, &m);
+    hystmpc_memory_at(problem, memory, &m);
     m.head->hurried = 1;
 }
 
 void hystmpc_controller_target(const void *problem, char *memory, real angle_deg) {
     hystmpc_memory m;
-    memory_at(problem, memory, &m);
+    hystmpc_memory_at(problem, memory, &m);
     m.head->target = angle_deg;
 }
 
 void hystmpc_controller_held(const void *problem, char *memory, real command) {
     const hystmpc_problem *p = problem;
     hystmpc_memory m;
-    memory_at(p, memory, &m);
+    hystmpc_memory_at(p, memory, &m);
     known_of(&m)->command = command;
     if (p->model && p->model->learner) m.observed.alone.known->command = command;
 }
@@ -94,7 +94,7 @@ int hystmpc_controller_init(const void *problem, char *memory, const real *x, re
                             char *room) {
     const hystmpc_problem *p = problem;
     hystmpc_memory m;
-    memory_at(p, memory, &m);
+    hystmpc_memory_at(p, memory, &m);
     room = room_begin(room);
     real *state = room_take(&room, states_of(p));
     int answer = is_finite(hystmpc_usable_angle(angle_deg)) ? HYSTMPC_STARTED : HYSTMPC_BAD_ANGLE;
@@ -119,14 +119,14 @@ int hystmpc_controller_init(const void *problem, char *memory, const real *x, re
 int hystmpc_controller_measure(const void *problem, char *memory, real angle_deg, real age, char *room) {
     const hystmpc_problem *p = problem;
     hystmpc_memory m;
-    memory_at(p, memory, &m);
+    hystmpc_memory_at(p, memory, &m);
     return started(&m) && hystmpc_observer_correct_late(p->sensing, p->model, &m.observed, angle_deg, age, room);
 }
 
 int hystmpc_controller_look_on(const void *problem, char *memory, real angle_deg, real command, char *room) {
     const hystmpc_problem *p = problem;
     hystmpc_memory m;
-    memory_at(p, memory, &m);
+    hystmpc_memory_at(p, memory, &m);
     if (!started(&m)) return 1;
     room = room_begin(room);
     real *state = room_take(&room, states_of(p));
@@ -266,7 +266,7 @@ void hystmpc_controller_step(const void *problem, char *memory, real angle_deg, 
     hystmpc_command *answer = command;
     hystmpc_memory m;
     hystmpc_proposal out;
-    memory_at(p, memory, &m);
+    hystmpc_memory_at(p, memory, &m);
     memset(answer, 0, sizeof *answer);
     if (!started(&m)) {
         stand_still(p, &m, answer);
@@ -299,7 +299,7 @@ void hystmpc_controller_look(const void *problem, const char *memory, real *numb
                              real *responsive, real *bank) {
     const hystmpc_problem *p = problem;
     hystmpc_memory m;
-    memory_at(p, (char *)memory, &m); /* counts alone may change */
+    hystmpc_memory_at(p, (char *)memory, &m); /* counts alone may change */
     const hystmpc_known *k = known_of(&m);
     const hystmpc_head *h = m.head;
     const int entries = p->sensing->delay + 1;

@@ -192,7 +192,7 @@ HYSTMPC_API void hystmpc_controller_stop(const void *problem, char *memory);
 HYSTMPC_API void hystmpc_controller_look(const void *problem, const char *memory, real *numbers, real *x, real *angles,
                                          real *moves, real *responsive, real *bank);
 
-/* Between the files of the controller: law.c's predictive part, feedback.c. */
+/* Between the files of the controller and of loop.c. */
 enum { HYSTMPC_MARK = 0x48595354 }; /* which nothing else leaves in memory by chance */
 
 /* Parts of a memory. */
@@ -204,6 +204,9 @@ typedef struct {
     real *alone;            /* model state under the feedforward alone */
     real *due;              /* (oldest + 1) angles that were due, the newest last */
 } hystmpc_memory;
+
+/* Parts of a memory; counts that a foreign memory may have wrong are kept within them. */
+HYSTMPC_LOCAL void hystmpc_memory_at(const hystmpc_problem *p, char *memory, hystmpc_memory *m);
 
 HYSTMPC_LOCAL real hystmpc_within_limits(const hystmpc_problem *p, real u, real last);
 

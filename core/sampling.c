@@ -110,7 +110,7 @@ static real sampling_median(real *values, int count) {
 }
 
 HYSTMPC_LOCAL void hystmpc_weighted_mean(int count, int samples, const real *plans, const real *costs,
-                                         real temperature, void *room, real *mean) {
+                                         real temperature, real *room, real *mean) {
     real lowest = INFINITE, total = R(0.0);
     for (int n = 0; n < count; n++) lowest = least(lowest, costs[n]);
     copy(costs, room, count);

@@ -24,6 +24,6 @@ HYSTMPC_API void hystmpc_fit_columns(int count, int samples, int size, const rea
 /* Mean (H) of plans (N, H) with the weights exp(-(J - J_min) / lambda), lambda = temperature (median J - J_min); costs
  * J (N); room: N numbers. */
 HYSTMPC_LOCAL void hystmpc_weighted_mean(int count, int samples, const real *plans, const real *costs,
-                                         real temperature, void *room, real *mean);
+                                         real temperature, real *room, real *mean);
 
 #endif

@@ -224,7 +224,7 @@ class ControlLoop:
         self._anchor.judge(seen, done.boot_ns)
         if cause := seen.dead or self._anchor.moved or decision.fault:
             self._flag.set(cause)
-        self._gate.clipped += not abs(done.u - done.wanted) <= 1e-12
+        self._gate.clipped += not abs(done.u - done.answer.u) <= 1e-12
         if done.sent:
             self._command_sent(done.u, done.sent_ns)
         elif self._anchor.in_time(done.sent_boot_ns):

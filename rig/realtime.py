@@ -113,9 +113,8 @@ class RealtimeSettings(SchedulingSettings):
 
     Attributes:
         spin_s: how long before a deadline sleeping ends and spinning begins.
-        backend: what steps the controller of a run: `python`; or `c`, its export as C, compiled when the run begins.
-            The commands are the same, the step is shorter. Over UDP whole samples are taken in C while all is as
-            expected. `c` needs a C compiler.
+        backend: `c` takes whole samples of a run in C while all is as expected: over UDP, on Linux and macOS, with a
+            continuous sensor. Python takes all others, and with `python` each one. Both step the same controller.
     """
 
     spin_s: NotNegative = 0.0005

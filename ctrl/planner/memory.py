@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,31 +15,9 @@ from hystmpc.trials.errors import ControllerError, shown
 from hystmpc.trials.types import Vec
 
 from ..command import Command, CommandLimits, Source, attempt, number_of, numbers_of, replace
-from ..estimation.observer import Estimate, usable_angle
-from ..guarded import GuardedState
-from ..loop import Controller
+from ..estimation.observer import usable_angle
+from ..guarded import GuardedController, GuardedState
 from .reference import Reference, ReferenceRequest, rest_reference
-
-
-class PlannersController(Controller[GuardedState[Any]], Protocol):
-    """Interface of a `GuardedController`, also implemented by its C export."""
-
-    def replay(self, commands: Vec, angles: Vec) -> GuardedState[Any]:
-        """Return the state after a recording, see `GuardedController.replay`."""
-        ...
-
-    def sigma_deg(self, state: GuardedState[Any]) -> float:
-        """Standard deviation of the error of the estimated angle [deg]; not-a-number where it is not known."""
-        ...
-
-    def sigma_ahead_deg(self, state: GuardedState[Any], commands: Vec) -> Vec:
-        """Standard deviation of the error of the angles predicted for the ends of the coming samples (H,) [deg]."""
-        ...
-
-    def stop(self, state: GuardedState[Any], cause: str) -> GuardedState[Any]:
-        """Return the state with the stop latched; only a new `init` releases it."""
-        ...
-
 
 _SAME_COMMAND = 1e-6  # of the command's range: two records of one command may differ by it
 
@@ -64,7 +41,7 @@ class Snapshot:
     command: Command
     sent: bool = False
     steps: int = 0
-    control: GuardedState[Any] | None = None
+    control: GuardedState | None = None
     reference: Reference | None = None
     request: ReferenceRequest | None = None
     halted: bool = False
@@ -73,23 +50,23 @@ class Snapshot:
     @property
     def stopped(self) -> bool:
         """Whether the stop is latched."""
-        return self.halted or (self.control is not None and self.control.fallback.stopped)
+        return self.halted or (self.control is not None and self.control.stopped)
 
     @property
     def stop_cause(self) -> str:
         """Cause of a latched stop."""
-        latched = self.control is not None and self.control.fallback.stopped
-        return self.control.fallback.cause if self.control is not None and latched else "by stop()"
+        control = self.control
+        return control.cause if control is not None and control.stopped else "by stop()"
 
     @property
     def disturbance_deg(self) -> float:
         """Estimated difference between device and model [deg]."""
-        return 0.0 if self.control is None else self.control.estimate.departure
+        return 0.0 if self.control is None else self.control.known.disturbance + self.control.known.added
 
     @property
     def measured_deg(self) -> float:
         """Last accepted measurement [deg]; not-a-number before the first."""
-        return math.nan if self.control is None else self.control.estimate.measured
+        return math.nan if self.control is None else float(self.control.known.measured)
 
     def motion(self, t: float) -> Kinematics:
         """State of motion of the reference at `t` [s]; not-a-number if there is none or a user's function fails."""
@@ -103,7 +80,7 @@ def initial_snapshot(origin: str, command: float, sent: bool = False) -> Snapsho
     return Snapshot(origin, Command(command, Source.HOLD, "not started"), sent)
 
 
-def start_control(memory: Snapshot, controller: PlannersController, y: float) -> Snapshot:
+def start_control(memory: Snapshot, controller: GuardedController, y: float) -> Snapshot:
     """Return the snapshot at rest at the measured angle `y` [deg], with the request turned into a reference."""
     control = controller.init(y, memory.command.u)
     if memory.halted:
@@ -113,14 +90,14 @@ def start_control(memory: Snapshot, controller: PlannersController, y: float) ->
     return replace(memory, steps=0, control=control, reference=reference, request=None)
 
 
-def replay_recording(origin: str, controller: PlannersController, commands: Vec, angles: Vec) -> Snapshot:
+def replay_recording(origin: str, controller: GuardedController, commands: Vec, angles: Vec) -> Snapshot:
     """Return the snapshot at time 0 after a recording of commands and angles, at rest at the last measured angle."""
     control = controller.replay(commands, angles)
     held = Command(control.estimate.command, Source.HOLD, "replayed")
     return Snapshot(origin, held, control=control, reference=rest_reference(control.due, 0.0))
 
 
-def try_to_start(memory: Snapshot, controller: PlannersController, y: object) -> Snapshot:
+def try_to_start(memory: Snapshot, controller: GuardedController, y: object) -> Snapshot:
     """Start the controller if `y` is usable; otherwise return a snapshot with a held command and the reason."""
     angle = usable_angle(y)
     after, reason = attempt(lambda: start_control(memory, controller, angle))
@@ -145,20 +122,20 @@ def set_request(memory: Snapshot, request: ReferenceRequest, dt: float, start: K
     return replace(memory, reference=request(start, memory.steps * dt))
 
 
-def halted(memory: Snapshot, controller: PlannersController, cause: str = "by stop()") -> Snapshot:
+def halted(memory: Snapshot, controller: GuardedController, cause: str = "by stop()") -> Snapshot:
     """Return the snapshot with the stop latched."""
     control = None if memory.control is None else controller.stop(memory.control, cause)
     return replace(memory, control=control, halted=True)
 
 
-def holding(control: GuardedState[Any] | None, held: float) -> GuardedState[Any] | None:
+def holding(control: GuardedState | None, controller: GuardedController, held: float) -> GuardedState | None:
     """Set the command `held` in the controller's state: the next command is limited from it."""
-    if control is None or control.estimate.command == held:
+    if control is None or control.known.command == held:
         return control
-    return replace(control, estimate=replace(control.estimate, command=held))
+    return controller.holding(control, held)
 
 
-def skipped(memory: Snapshot, controller: PlannersController, cause: str) -> Snapshot:
+def skipped(memory: Snapshot, controller: GuardedController, cause: str) -> Snapshot:
     """Return the snapshot after a sample without a command: the device holds, also in a stop with a ramp."""
     control, held = memory.control, memory.command.u
     if control is None:
@@ -169,15 +146,16 @@ def skipped(memory: Snapshot, controller: PlannersController, cause: str) -> Sna
         command, control = controller.step(control, math.nan, np.empty(0))
         command = replace(command, status=f"reference: {cause}")
     command = replace(command, u=held)
-    return replace(memory, steps=memory.steps + 1, control=holding(control, held), command=command)
+    return replace(memory, steps=memory.steps + 1, control=holding(control, controller, held), command=command)
 
 
-def take_up(memory: Snapshot, present: Snapshot, controller: PlannersController, held: float) -> Snapshot:
+def take_up(memory: Snapshot, present: Snapshot, controller: GuardedController, held: float) -> Snapshot:
     """Restore or replay a memory in place of the present one, the device holding `held`; a latched stop remains."""
     command = memory.command
     if command.u != held:
         command = replace(command, u=held, status=f"taken up, the device holds {held:.6g}")
-    memory = replace(memory, command=command, control=holding(memory.control, held), sent=present.sent)
+    control = holding(memory.control, controller, held)
+    memory = replace(memory, command=command, control=control, sent=present.sent)
     return halted(memory, controller, present.stop_cause) if present.stopped else memory
 
 
@@ -236,7 +214,7 @@ def require_usable(snapshot: object, origin: str, limits: CommandLimits) -> Snap
             "settings, limits and model"
         )
     commands = (
-        [snapshot.command.u] if snapshot.control is None else [snapshot.command.u, snapshot.control.estimate.command]
+        [snapshot.command.u] if snapshot.control is None else [snapshot.command.u, snapshot.control.known.command]
     )
     if not all(limits.lower <= u <= limits.upper for u in commands):
         raise ControllerError(
@@ -308,7 +286,7 @@ class TipPlan:
         return in_brief(self, text + more)
 
 
-def tip_state(memory: Snapshot, controller: PlannersController, tolerance_deg: float) -> TipState:
+def tip_state(memory: Snapshot, controller: GuardedController, tolerance_deg: float) -> TipState:
     """Return the state of the controller, from a snapshot."""
     now, command = memory.steps * controller.dt, memory.command
     motion, measured = memory.motion(now), memory.measured_deg
@@ -330,7 +308,7 @@ def tip_state(memory: Snapshot, controller: PlannersController, tolerance_deg: f
     )
 
 
-def tip_plan(memory: Snapshot, controller: PlannersController) -> TipPlan:
+def tip_plan(memory: Snapshot, controller: GuardedController) -> TipPlan:
     """Return the plan of the last step, from a snapshot."""
     dt = controller.dt
     command, reference = memory.command, memory.reference
@@ -341,7 +319,7 @@ def tip_plan(memory: Snapshot, controller: PlannersController) -> TipPlan:
     return TipPlan(times, planned, command.predicted, reference_deg, _sigma_of_plan(memory, controller, planned))
 
 
-def _sigma_of_plan(memory: Snapshot, controller: PlannersController, planned: Vec) -> Vec:
+def _sigma_of_plan(memory: Snapshot, controller: GuardedController, planned: Vec) -> Vec:
     """Standard deviations of the predicted angles at the ends of the running and the next samples [deg]."""
     control, rows = memory.control, memory.command.predicted.size
     if control is None or not rows:
@@ -351,43 +329,42 @@ def _sigma_of_plan(memory: Snapshot, controller: PlannersController, planned: Ve
 
 
 def predicted_angles(
-    predictor: Predictor, limits: CommandLimits, estimate: Estimate | None, commands: ArrayLike
+    predictor: Predictor, limits: CommandLimits, memory: Snapshot, controller: GuardedController, commands: ArrayLike
 ) -> Vec:
     """Predict the angles [deg], disturbance included, at the ends of the samples of one plan (N,) or several (K, N)."""
-    plans, estimate = usable_plans(predictor, limits, estimate, commands)
-    under_way = np.array(estimate.angles[1:])  # of commands already sent that have not acted yet
-    new = predictor.rollout(estimate.state, plans)
-    angles = np.hstack([np.tile(under_way, (len(plans), 1)), new])[:, : plans.shape[1]] + estimate.disturbance
+    plans, control = usable_plans(predictor, limits, memory, commands)
+    under_way = np.array(control.estimate.angles[1:])  # of commands already sent that have not acted yet
+    new = predictor.rollout(controller.model_state(control), plans)
+    angles = np.hstack([np.tile(under_way, (len(plans), 1)), new])[:, : plans.shape[1]] + control.known.disturbance
     return angles.reshape(np.shape(commands))
 
 
 def predicted_sigmas(
-    limits: CommandLimits, predictor: Predictor, memory: Snapshot, controller: PlannersController, commands: ArrayLike
+    predictor: Predictor, limits: CommandLimits, memory: Snapshot, controller: GuardedController, commands: ArrayLike
 ) -> Vec:
     """Standard deviations of the errors of `predicted_angles` [deg], of the same shape."""
-    control = memory.control
-    plans, _ = usable_plans(predictor, limits, None if control is None else control.estimate, commands)
-    assert control is not None  # there is an estimate
+    plans, control = usable_plans(predictor, limits, memory, commands)
     return np.array([controller.sigma_ahead_deg(control, plan) for plan in plans]).reshape(np.shape(commands))
 
 
 def usable_plans(
-    predictor: Predictor, limits: CommandLimits, estimate: Estimate | None, commands: ArrayLike
-) -> tuple[Vec, Estimate]:
-    """Return plans (K, N) checked against the limits, and the estimate from which they start.
+    predictor: Predictor, limits: CommandLimits, memory: Snapshot, commands: ArrayLike
+) -> tuple[Vec, GuardedState]:
+    """Return plans (K, N) checked against the limits, and the state of the controller from which they start.
 
     Raises:
         ControllerError: if there is no estimate of a model's state, or a plan is not finite or beyond the limits.
     """
-    if estimate is None or not estimate.angles:
-        reason = "has not started" if estimate is None else "has no model"
+    control = memory.control
+    if control is None or not control.estimate.angles:
+        reason = "has not started" if control is None else "has no model"
         raise ControllerError(f"predict: the controller {reason}, expected one with a model after its first step")
-    plans = np.atleast_2d(numbers_of(commands))
-    moves = np.abs(np.diff(plans, axis=-1, prepend=estimate.command))
+    plans, last = np.atleast_2d(numbers_of(commands)), control.known.command
+    moves = np.abs(np.diff(plans, axis=-1, prepend=last))
     low, high, reach = limits.lower - _ROUNDING, limits.upper + _ROUNDING, limits.rate * predictor.dt * (1 + _ROUNDING)
     if plans.ndim != 2 or not plans.size or not np.all((plans >= low) & (plans <= high) & (moves <= reach + _ROUNDING)):
         raise ControllerError(
             f"predict: got plans of shape {plans.shape}, expected (N,) or (K, N) finite commands within "
-            f"{limits.lower:g} to {limits.upper:g} at {limits.rate:g} per second from {estimate.command:.6g} on"
+            f"{limits.lower:g} to {limits.upper:g} at {limits.rate:g} per second from {last:.6g} on"
         )
-    return plans, estimate
+    return plans, control

@@ -83,7 +83,7 @@ class Assembly:
         model_hash: of the files that were opened.
     """
 
-    controller: GuardedController[Any]
+    controller: GuardedController
     predictor: Predictor
     limits: CommandLimits
     workspace: Workspace
@@ -147,10 +147,10 @@ def assemble(settings: TipSettings, folder: Path) -> Assembly:
     )
 
 
-def _warm_up(controller: GuardedController[Any], rest_deg: float, limits: CommandLimits) -> None:
+def _warm_up(controller: GuardedController, rest_deg: float, limits: CommandLimits) -> None:
     """Take two steps from rest along a moving reference: the engine is loaded, the solver has its workspace."""
     state, wanted = controller.init(rest_deg, limits.lower), rest_deg + np.arange(1.0, controller.horizon + 1)
     _, state = controller.step(state, rest_deg, wanted)
     command, state = controller.step(state, rest_deg, wanted)
-    if state.fallback.failures:
+    if state.head.failures:
         raise ControllerError(f"controller: its first step fails on this model: {command.status}")

@@ -47,7 +47,6 @@ from .reference import ReferenceRequest, given_request, waypoint_request
 from .settings import TipSettings, read_settings
 
 if TYPE_CHECKING:
-    from .memory import PlannersController
     from .settings import Assembly
 
 
@@ -75,14 +74,14 @@ class TipController:
         ControllerError: if the start command is beyond the limits.
     """
 
-    def __init__(self, assembly: Assembly, settings: TipSettings, controller: PlannersController | None = None) -> None:
+    def __init__(self, assembly: Assembly, settings: TipSettings) -> None:
         limits, start = assembly.limits, settings.start_command
         start = assembly.rests_at if start is None else start
         if not limits.lower <= start <= limits.upper:
             raise ControllerError(f"start_command: got {start}, expected {limits.lower} to {limits.upper}")
         self._assembly, self._settings, self._lock = assembly, settings, RLock()
         self._motion = settings.motion
-        self._controller: PlannersController = controller or assembly.controller
+        self._controller = assembly.controller
         self._nothing = np.empty(0)  # empty reference: the controller holds
         self._ahead: Vec = self.dt * np.arange(1, self._controller.horizon + 1, dtype=np.float64)
         self._origin = assembly.origin(settings)
@@ -118,12 +117,13 @@ class TipController:
         """Sample time [s]."""
         return self._controller.dt
 
-    def step(self, measured_theta_deg: float) -> Command:
+    def step(self, measured_theta_deg: float, refusal: str = "") -> Command:
         """Compute the command to send now, and advance the clock by one sample.
 
         Args:
             measured_theta_deg: present tip angle [deg]; NaN if there is none. The first usable one starts the
                 controller at rest there; until then the start command is held.
+            refusal: why there is no time for a plan in this sample: the fallbacks answer, and the status tells why.
         """
         for _ in range(_ROUNDS):
             with self._lock:
@@ -133,17 +133,18 @@ class TipController:
                     self._memory = memory
                 reference = memory.reference
                 if reference is None or memory.stopped:
-                    return self._answer(measured_theta_deg, self._nothing, "")
+                    return self._answer(measured_theta_deg, self._nothing, "", refusal)
                 ahead: Vec = memory.steps * self.dt + self._ahead
                 if not reference.foreign:
-                    return self._answer(measured_theta_deg, *attempt(partial(reference.at, ahead)))
+                    return self._answer(measured_theta_deg, *attempt(partial(reference.at, ahead)), refusal)
             wanted, fault = attempt(partial(reference.at, ahead))  # a user's code: anything may happen meanwhile
             with self._lock:
                 now = self._memory
                 if now.stopped or (now.reference is reference and now.steps == memory.steps):
-                    return self._answer(measured_theta_deg, wanted, "" if now.stopped else fault)
+                    return self._answer(measured_theta_deg, wanted, "" if now.stopped else fault, refusal)
         with self._lock:
-            return self._answer(measured_theta_deg, None, "another was set each time this one was evaluated")
+            fault = "another was set each time this one was evaluated"
+            return self._answer(measured_theta_deg, None, fault, refusal)
 
     def skip(self) -> Command:
         """Advance by one sample in which nothing was sent and the device held; the command returned says so."""
@@ -151,8 +152,8 @@ class TipController:
             self._memory = skipped(self._memory, self._controller, "sample skipped, command held")
             return self._memory.command
 
-    def took(self, steps: int, command: Command, control: GuardedState[Any] | None = None) -> None:
-        """Take over samples in which the same controller was stepped elsewhere, such as in its C export.
+    def took(self, steps: int, command: Command, control: GuardedState | None = None) -> None:
+        """Take over samples in which the same controller was stepped elsewhere, such as in the control loop in C.
 
         Args:
             command: answer of the last of them.
@@ -167,7 +168,7 @@ class TipController:
             raise ControllerError(f"took: got {shown(steps)} steps, expected a whole number")
         with self._lock:
             memory = self._memory
-            after = holding(memory.control if control is None else control, u)
+            after = holding(memory.control if control is None else control, self._controller, u)
             self._memory = replace(memory, steps=memory.steps + int(whole), control=after, command=command, sent=True)
 
     def measure(self, theta_deg: float, taken_at_s: float) -> None:
@@ -192,7 +193,7 @@ class TipController:
             control = controller.measure(memory.control, angle, memory.steps - taken_s / self.dt)
             self._memory = replace(memory, control=control)
 
-    def _answer(self, measured_theta_deg: float, wanted: Vec | None, fault: str) -> Command:
+    def _answer(self, measured_theta_deg: float, wanted: Vec | None, fault: str, refusal: str) -> Command:
         """Compute the command of this sample and store it as sent, under the lock."""
         memory = self._memory
         command, control = memory.command, memory.control
@@ -200,6 +201,8 @@ class TipController:
             self._memory = replace(memory, sent=True)
             return command
         preview = self._nothing if wanted is None else wanted
+        if refusal:
+            control = replace(control, refusal=refusal)
         command, control = self._controller.step(control, measured_theta_deg, preview)
         if fault:
             command = replace(command, status=f"reference: {fault}")
@@ -257,9 +260,8 @@ class TipController:
             ControllerError: if the controller has not started or has no model, or a plan is not finite or beyond
                 the limits on value or rate.
         """
-        control, assembly = self._memory.control, self._assembly
-        estimate = None if control is None else control.estimate
-        return predicted_angles(assembly.predictor, assembly.limits, estimate, commands)
+        assembly = self._assembly
+        return predicted_angles(assembly.predictor, assembly.limits, self._memory, self._controller, commands)
 
     def predict_sigma_deg(self, commands: ArrayLike) -> Vec:
         """Standard deviations of the errors of the angles that `predict` returns [deg], of the same shape.
@@ -273,19 +275,14 @@ class TipController:
         included. Arguments and exceptions are those of `predict`.
         """
         assembly = self._assembly
-        return predicted_sigmas(assembly.limits, assembly.predictor, self._memory, self._controller, commands)
+        return predicted_sigmas(assembly.predictor, assembly.limits, self._memory, self._controller, commands)
 
     def fork(self) -> Self:
         """Return an independent copy for a planner that predicts while this controller controls the device.
 
         It shares model, settings and limits and has its separate memory, clock and lock, so both may be stepped at the
         same time from two threads. The commands of a copy are not sent.
-
-        Raises:
-            ControllerError: if the controller runs in C, whose memory cannot be copied.
         """
-        if self._controller is not self._assembly.controller:
-            raise ControllerError("fork: got a controller that runs in C, expected one of from_config")
         other = copy(self)
         other._lock = RLock()
         return other

@@ -1,1 +1,1 @@
-"""C backend of a run (`realtime.backend: c`): the compiled controller and, over UDP, the control loop in C."""
+"""C backend of a run (`realtime.backend: c`): over UDP, the control loop in C."""

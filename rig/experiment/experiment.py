@@ -12,14 +12,12 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from hystmpc.ctrl.command import Command, CommandLimits, ControlInput, Source, Stopwatch, modelled_limits
+from hystmpc.ctrl.command import Command, CommandLimits, Source, modelled_limits
 from hystmpc.ctrl.config import ControllerSettings, sensor_fault
 from hystmpc.ctrl.estimation.observer import EstimatorSettings
-from hystmpc.ctrl.guarded import GuardedController
-from hystmpc.ctrl.law import Law, Proposal
 from hystmpc.ctrl.monitor import ChangeMonitor, MonitorState
 from hystmpc.ctrl.planner.reach import beyond_reach
-from hystmpc.ctrl.planner.settings import Assembly, TipSettings, assemble, read_settings
+from hystmpc.ctrl.planner.settings import Assembly, assemble, read_settings
 from hystmpc.ctrl.planner.tip_controller import TipController
 from hystmpc.trajectories.motion import Kinematics, PiecewiseCubic
 from hystmpc.trajectories.ruckig_ import move_to_rest
@@ -38,7 +36,7 @@ from ..transports.transport import PlantFactory, Transport
 from .phases import REMEMBERED, Decision, Past, Phase, PhaseInput
 
 if TYPE_CHECKING:
-    from ..compiled.controller import CompiledController, CompiledLoop
+    from ..compiled.loop import CompiledLoop
 
 LATE = "late: no time for a plan"
 """Why a sample that begins late is answered by the fallbacks."""
@@ -100,9 +98,8 @@ def tracking_phase(settings: RunSettings, threaded: bool = True, note: Note = la
     )
     assembly = assemble(tip_settings, Path())
     _fits(settings, assembly)
-    compiled = _compiled(settings, assembly, tip_settings)
-    controller, law_of_it = make_timely(assembly.controller) if compiled is None else (compiled, compiled)
-    tip = TipController(assembly, tip_settings, controller)
+    compiled = _compiled(settings, assembly)
+    tip = TipController(assembly, tip_settings)
     reference = settings.reference.build()
     if beyond := beyond_reach(reference(np.linspace(0.0, reference.duration_s, 1000)), assembly.workspace.model):
         note(f"warning: the reference {beyond}")
@@ -116,16 +113,16 @@ def tracking_phase(settings: RunSettings, threaded: bool = True, note: Note = la
     fails = None if drill is None else (drill.solver_fails_from_s, drill.solver_fails_from_s + drill.solver_fails_for_s)
     watch = model_watch(settings.plausibility, law, settings.dt_s)
     monitor = ChangeMonitor(assembly.predictor.noise, settings.dt_s, assembly.workspace.model)
-    return Tracking(tip, law_of_it, lead_in, watch, monitor, fails, settings.sensor, threaded, compiled)
+    return Tracking(tip, lead_in, watch, monitor, fails, settings.sensor, threaded, compiled)
 
 
-def _compiled(settings: RunSettings, assembly: Assembly, tip_settings: TipSettings) -> CompiledController | None:
-    """Controller compiled from C; None for the backend `python`."""
+def _compiled(settings: RunSettings, assembly: Assembly) -> CompiledLoop | None:
+    """Loop in C on the controller; None for the backend `python`, and on a system without one."""
     if settings.realtime.backend == "python":
         return None
-    from ..compiled.controller import compiled_controller
+    from ..compiled.loop import compiled_loop
 
-    return compiled_controller(assembly.controller, tip_settings, settings.realtime.spin_s)
+    return compiled_loop(assembly.controller, settings.realtime.spin_s)
 
 
 def _fits(settings: RunSettings, assembly: Assembly) -> None:
@@ -160,7 +157,7 @@ class Tracking(Phase):
         drill_s: start and end of an exercise in which the law fails [s]; None for never.
         sensor: of the bench; continuous where left out.
         threaded: whether the transfer has its own thread; False for a computed device, so that each run is the same.
-        compiled: the controller in C, which may execute whole samples.
+        compiled: the loop in C, which may execute whole samples.
     """
 
     name = "track"
@@ -168,17 +165,16 @@ class Tracking(Phase):
     def __init__(
         self,
         tip: TipController,
-        law: TimelyLaw | CompiledController,
         lead_in: LeadIn,
         watch: ModelWatch,
         monitor: ChangeMonitor,
         drill_s: tuple[float, float] | None = None,
         sensor: SensorSettings | None = None,
         threaded: bool = True,
-        compiled: CompiledController | None = None,
+        compiled: CompiledLoop | None = None,
     ) -> None:
         self._threaded, self._compiled = threaded, compiled
-        self._tip, self._law, self._lead_in, self._watch, self._drill = tip, law, lead_in, watch, drill_s
+        self._tip, self._lead_in, self._watch, self._drill = tip, lead_in, watch, drill_s
         self._kind, self._rest_deg = ("continuous", None) if sensor is None else (sensor.kind, sensor.rest_deg)
         self._monitor, self._changed = monitor, ""
         self._judged: MonitorState | None = None
@@ -216,8 +212,8 @@ class Tracking(Phase):
                 return Reply(False, "no target can be set now: the controller does not track")
             self._tip.set_target(angle_deg)
             self._stays = True
-            if self._compiled is not None and self._compiled.loop is not None:
-                self._compiled.loop.interrupt()
+            if self._compiled is not None:
+                self._compiled.interrupt()
         return Reply(True, reach.reason)
 
     def begin(self, now: PhaseInput, past: Past) -> None:
@@ -240,42 +236,43 @@ class Tracking(Phase):
             with suppress(ControllerError):  # older than what the controller remembers
                 self._tip.measure(angle, taken_s)
         self._early_frames.clear()
-        self._law.refusal = self._refusal(now)
         control = self._tip.snapshot().control
         if self._kind == "continuous" and control is not None and control.estimate.angles:
             self._judge(now.angle_deg, control.estimate.angles[0] - control.estimate.added)
-        command = self._tip.step(now.angle_deg if self._kind == "continuous" else math.nan)
+        command = self._tip.step(now.angle_deg if self._kind == "continuous" else math.nan, self._refusal(now))
         self._k += 1 + now.skipped
         control = self._tip.snapshot().control
         return self._decision(command, math.nan if control is None else control.due)
 
     def compiled(self) -> CompiledLoop | None:
         """Loop in C, once the controller tracks and before the reference ends."""
-        if self._compiled is None or not self._tracks or self._kind != "continuous" or self._drill is not None:
+        if not self._tracks or self._kind != "continuous" or self._drill is not None:
             return None
-        return self._compiled.loop
+        return self._compiled
 
     def taken_in_c(self, flag: StopFlag) -> Generator[tuple[Any, Decision]]:
-        tip, memory, law, loop = self._tip, self._tip.snapshot(), self._compiled, self.compiled()
+        tip, memory, loop = self._tip, self._tip.snapshot(), self.compiled()
         reference, control = memory.reference, memory.control
-        if law is None or loop is None or control is None or reference is None or self._reference is None:
+        if loop is None or control is None or reference is None or self._reference is None:
             return
         estimate, over = control.estimate, math.ceil(self._reference.duration_s / tip.dt)
         over += (over * tip.dt < self._reference.duration_s) - ((over - 1) * tip.dt >= self._reference.duration_s)
-        model, stalled, command = estimate.angles[0] - estimate.added, estimate.stalled, None
-        law.take_up(control)
+        known, stalled, command = bool(estimate.angles), estimate.stalled, None
+        model = estimate.angles[0] - estimate.added if known else math.nan
+        loop.take_up(control)
         numbers = {**self._watch.numbers(), "steps": memory.steps}
         end = _FOR_GOOD if self._stays else memory.steps + over - self._k
         with closing(loop.samples(numbers, lambda steps: reference.at(tip.dt * steps), end, flag)) as samples:
             for sample in samples:
-                self._judge(sample.angle_deg, model)
-                command = law.taken(sample, stalled, LATE)
+                if known:
+                    self._judge(sample.angle_deg, model)
+                command = loop.command(sample, stalled, LATE)
                 model, stalled = sample.model_deg, sample.stalled
                 tip.took(1 + sample.skipped, command)
                 self._k += 1 + sample.skipped
                 yield sample, self._decision(command, sample.due_deg)
         if command is not None:
-            tip.took(0, command, law.after())
+            tip.took(0, command, loop.after(control))
 
     def _judge(self, angle_deg: float, model: float) -> None:
         """Compare predicted and measured angle; test once a second whether the device has changed."""
@@ -378,34 +375,6 @@ def present_angle(tip: TipController) -> float:
     return estimate.angles[0] + estimate.disturbance if estimate.angles else estimate.measured
 
 
-class NoTimeError(Exception):
-    """Error that marks a sample without time for a plan; caught inside the controller's step."""
-
-
-@final
-class TimelyLaw(Law[Any]):
-    """Control law that fails at once while `refusal` is set, so that the fallbacks answer the sample."""
-
-    def __init__(self, law: Law[Any]) -> None:
-        self._law = law
-        self.horizon, self.source = law.horizon, law.source
-        self.refusal = ""
-
-    def init(self, y: float, u: float) -> Any:
-        return self._law.init(y, u)
-
-    def propose(self, memory: Any, given: ControlInput, watch: Stopwatch) -> Proposal[Any]:
-        if self.refusal:
-            raise NoTimeError(self.refusal)
-        return self._law.propose(memory, given, watch)
-
-
-def make_timely(controller: GuardedController[Any]) -> tuple[GuardedController[Any], TimelyLaw]:
-    """Wrap the law of a controller in a `TimelyLaw`; return the controller and that law."""
-    law = TimelyLaw(controller.law)
-    return controller.with_law(law), law
-
-
 @final
 class Steering(Phase):
     """Phase in which a `TipController` starts at rest at the present command and accepts targets by any thread.
@@ -431,9 +400,7 @@ class Steering(Phase):
         if fault := sensor_fault(self._settings, "continuous"):
             raise ConfigError(f"{config}: controller.{fault}")
         assembly = assemble(settings, folder)
-        controller, law = make_timely(assembly.controller)
-        self._law = law
-        self.tip = TipController(assembly, settings, controller)
+        self.tip = TipController(assembly, settings)
         self.limits: CommandLimits = assembly.limits
         self.unit = assembly.unit
         safe = self._settings.resolved().ladder.safe_command
@@ -461,7 +428,6 @@ class Steering(Phase):
         else:
             for _ in range(now.skipped):
                 self.tip.skip()
-        self._law.refusal = LATE if now.late or now.skipped else ""
-        command = self.tip.step(now.angle_deg)
+        command = self.tip.step(now.angle_deg, LATE if now.late or now.skipped else "")
         control = self.tip.snapshot().control
         return decision_of(command, math.nan if control is None else control.due, self._watch)

@@ -16,7 +16,7 @@ from ..safety.intake import ObservedFrame
 from ..safety.ramp import RampSettings, ramp_commands, waypoint_commands
 
 if TYPE_CHECKING:
-    from ..compiled.controller import CompiledLoop
+    from ..compiled.loop import CompiledLoop
     from ..safety.stop import StopFlag
 
 

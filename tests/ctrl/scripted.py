@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from hystmpc.core.outside import guarded
 from hystmpc.core.structs import constants, layout, struct
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.estimation.observer import Observer
@@ -27,27 +28,21 @@ class Scripted:
     def __init__(self, predictor: Predictor) -> None:
         self.disturbance = self.sigma = self.forecast_error = 0.0
         self._predictor, self._states = predictor, int(predictor.part.fields["states"])
-        outside = struct(
-            "hystmpc_observer_outside", correct=self.correct, correct_late=lambda *_: 1, advance=self.advance
-        )
+        outside = struct("hystmpc_observer_outside", correct=guarded(self._correct), advance=guarded(self._advance))
         kind = constants()["HYSTMPC_OBSERVED"]
         sensing = struct("hystmpc_sensing", sensor=kind, forgets=1.0, rest_tolerance=30.0, outside=outside)
         self.observer = Observer(sensing, predictor)
 
-    def correct(self, known: int, _x: int, _angles: int, y: float) -> int:
-        """Say what is set; the measurement counts as accepted."""
+    def _correct(self, known: int, _x: int, _angles: int, y: float) -> None:
         k = layout("hystmpc_known").from_address(known)
         k.disturbance, k.sigma, k.forecast_error = self.disturbance, self.sigma, self.forecast_error
         k.measured, k.missing = y, 0
-        return 0
 
-    def advance(self, known: int, x: int, angles: int, u: float) -> int:
-        """One sample later."""
+    def _advance(self, known: int, x: int, angles: int, u: float) -> None:
         state = np.ctypeslib.as_array((ctypes.c_double * self._states).from_address(x))
         angle, state[:] = self._predictor.advance(state.copy(), u)
         ctypes.c_double.from_address(angles).value = angle
         layout("hystmpc_known").from_address(known).command = u
-        return 0
 
 
 def scripted(
