@@ -1,17 +1,10 @@
-/* What Python calls of estimator, basis and learning: one call a sample where the controller in C has several. Angles in
- * deg; the state before a call is copied by the caller where it is kept. */
+/* What Python calls of basis and learning: one call a sample where the controller in C has several. Angles in deg; the
+ * state before a call is copied by the caller where it is kept. */
 #ifndef HYSTMPC_CALLS_H
 #define HYSTMPC_CALLS_H
 
-#include "estimator.h"
 #include "hystmpc_core.h"
 #include "learning.h"
-
-/* A bank of noise filters, see estimator.h. `noise`: sensors, drifts, motions, switching, most_gain, limit, then the
- * tables of `hystmpc_noise` in their order. */
-HYSTMPC_API real hystmpc_bank_init(const void *noise, real *bank, real disturbance);
-HYSTMPC_API real hystmpc_bank_correct(const void *noise, real *bank, real offset, real *mean);
-HYSTMPC_API real hystmpc_bank_advance(const void *noise, real *bank, real travel, real mean);
 
 /* Filters that learn, see learning.h; `filters` is a `hystmpc_filters`, `part` a `hystmpc_learned`. */
 HYSTMPC_API void hystmpc_filters_init(const hystmpc_learner *n, real *past, real *filters, real angle, real u,

@@ -20,7 +20,7 @@ from hystmpc.trials.brief import brief, in_brief
 from hystmpc.trials.errors import ControllerError, HystmpcError, shown
 from hystmpc.trials.types import Index, Vec
 
-from .answers import SOURCES, status_words
+from .answers import NO_SOLUTION, SOURCES, status_words
 from .command import EMPTY, Command, CommandLimits, Timing, number_of, numbers_of
 from .estimation.observer import ANGLE_BOUND_DEG, Bytes, Estimate, Observer, Places, read_estimate, usable_angle
 from .law import Law, LawPart
@@ -316,6 +316,8 @@ class GuardedController(HoldsAddresses):
             "refusal": state.refusal,
             "unfinished": "" if self._solution is None else f"{self._solution.words}, its best step used",
         }
+        if self._solution is not None and answer.status == NO_SOLUTION:
+            more["planner"] = self._solution.words
         return status_words(answer, level, known.forecast_error, known.stalled, faults(), more)
 
     @property

@@ -12,10 +12,12 @@ import numpy as np
 import pytest
 
 from hystmpc.core.library import engine
-from hystmpc.core.rooms import in_room
-from hystmpc.core.structs import struct
+from hystmpc.ctrl.build import build_controller
+from hystmpc.ctrl.command import CommandLimits
+from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.models.stages import prepared
 
+from ..ctrl.plays import compiled_pi
 from ..models.lstm_examples import make_route, random_weights
 from ..models.zoo import DT, RATE_PI
 
@@ -58,17 +60,15 @@ def test_a_network_has_weights_of_its_own(copied: Callable[[Any], Any]) -> None:
 
 
 @copies
-def test_a_predictor_of_the_engine_has_memory_of_its_own(copied: Callable[[Any], Any]) -> None:
-    chain = prepared([RATE_PI], DT)
-    tables = {"states": chain.code.states, "chain": chain.code.code, "kept": chain.kept}
-    part = struct("hystmpc_predictor", **tables)
-    state, values, again = np.zeros(chain.code.states), np.empty((1, 20)), np.empty((1, 20))
-    size = engine().predictor_bytes(part.address, 1, 20)
-    in_room(size, engine().predictor_run, part.address, state, 1, 20, PLAN[None].copy(), values)
-    made = copied(part)
-    assert made.address != part.address
-    assert made.fields["chain"].ctypes.data != part.fields["chain"].ctypes.data
-    del part
+def test_a_controller_steps_as_its_original(copied: Callable[[Any], Any]) -> None:
+    predictor, inverse = compiled_pi()
+    controller = build_controller(LinearisedMpcSettings(), predictor, inverse, CommandLimits(0.0, 6.0, 12.0))
+    state, wanted = controller.init(22.0, 0.0), np.full(controller.horizon, 40.0)
+    expected, after = controller.step(state, 22.0, wanted)
+    made, then = copied((controller, state))
+    assert made.problem.address != controller.problem.address
+    del controller, state, predictor, inverse
     gc.collect()
-    in_room(size, engine().predictor_run, made.address, state, 1, 20, PLAN[None].copy(), again)
-    np.testing.assert_array_equal(again, values)
+    command, following = made.step(then, 22.0, wanted)
+    np.testing.assert_array_equal(command.plan, expected.plan)
+    np.testing.assert_array_equal(following.memory, after.memory)
