@@ -6,16 +6,14 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
 from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.command import CommandPlan
 from hystmpc.ctrl.guarded import GuardedController
-from hystmpc.ctrl.linearised.planner import TrackingQp
+from hystmpc.ctrl.linearised.program import PlanCost, TrackingQp
 from hystmpc.ctrl.linearised.qp import ActiveSetOptions, OsqpOptions, OsqpSolver, QpData
-from hystmpc.ctrl.mpc import PlanCost
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings, WeightsSettings
 from hystmpc.trials.types import Vec
 
@@ -30,7 +28,7 @@ _SAMPLING, _MPPI = "sampling MPC, whole step", "pytorch-mppi, torch nn.LSTM"
 _GOAL = 6.0
 
 
-def linearised_controller(subject: Subject, settings: BenchSettings) -> GuardedController[Any]:
+def linearised_controller(subject: Subject, settings: BenchSettings) -> GuardedController:
     """Shipped linearised controller, but without effort: see `WEIGHTS`."""
     weights = WeightsSettings(effort=WEIGHTS.effort)
     wanted = LinearisedMpcSettings(horizon=settings.horizon, weights=weights)

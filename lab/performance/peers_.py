@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from hystmpc.ctrl.command import CommandLimits
-from hystmpc.ctrl.mpc import PlanningProblem
+from hystmpc.ctrl.linearised.program import PlanningProblem
 from hystmpc.ctrl.mpc_settings import WeightsSettings
 from hystmpc.models.networks.lstm import LstmWeights
 from hystmpc.trials.types import Vec

@@ -16,7 +16,7 @@ from threadpoolctl import ThreadpoolController
 
 from hystmpc.ctrl.command import Command, CommandLimits
 from hystmpc.ctrl.guarded import GuardedController, GuardedState
-from hystmpc.ctrl.mpc import PlanningProblem
+from hystmpc.ctrl.linearised.program import PlanningProblem
 from hystmpc.ctrl.mpc_settings import WeightsSettings
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.export import ExportBundle, export_onnx
@@ -356,9 +356,10 @@ def _catheter(chain: Chain) -> Simulator:
 
 @dataclass(frozen=True, eq=False)
 class Instant:
-    """Step of the recorded loop: its inputs and the resulting command."""
+    """Step of the recorded loop: its inputs, the state from which it predicts, and the resulting command."""
 
-    state: GuardedState[Any]
+    state: GuardedState
+    model: Vec
     measured: float
     reference: Vec
     command: Command
@@ -367,12 +368,11 @@ class Instant:
     def problem(self) -> PlanningProblem:
         """Planning problem of this step for a peer; no effort, no angle limits."""
         wanted = self.reference - self.command.disturbance
-        estimate = self.state.estimate
         nothing = np.zeros(wanted.size)
-        return PlanningProblem(estimate.state, estimate.command, wanted, nothing, (-np.inf, np.inf))
+        return PlanningProblem(self.model, self.state.known.command, wanted, nothing, (-np.inf, np.inf))
 
 
-def record_scan(controller: GuardedController[Any], subject: Subject) -> list[Instant]:
+def record_scan(controller: GuardedController, subject: Subject) -> list[Instant]:
     """One period of the scan with the model as plant, after the approach from rest."""
     rest = subject.limits.lower
     y, _ = subject.predictor.advance(subject.predictor.initial(subject.metadata.trained_angle.lower, rest), rest)
@@ -381,7 +381,7 @@ def record_scan(controller: GuardedController[Any], subject: Subject) -> list[In
     for k in range(_SETTLING + subject.scan_samples):
         reference = subject.scan(k + 1, controller.horizon)
         command, following = controller.step(state, y, reference)
-        instants.append(Instant(state, y, reference, command))
+        instants.append(Instant(state, controller.model_state(state), y, reference, command))
         state, y = following, following.estimate.angles[0]
     return instants[_SETTLING:]
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hystmpc.ctrl.linearised.program import PlanCost
 from hystmpc.ctrl.linearised.qp import ActiveSetOptions, OsqpOptions, OsqpSolver
-from hystmpc.ctrl.mpc import PlanCost
 from hystmpc.ctrl.mpc_settings import WeightsSettings
 from hystmpc.models.model import Predictor
 from hystmpc.trials.errors import ConfigError
