@@ -6,7 +6,12 @@ import re
 from collections.abc import Iterable
 from importlib import resources
 
-ONE_FILE = "#define HYSTMPC_API static\n#define HYSTMPC_LOCAL static\n"
+ONE_FILE = """#define HYSTMPC_API static
+#define HYSTMPC_LOCAL static
+#if defined(__GNUC__)
+#pragma GCC diagnostic ignored "-Wunused-function" /* a device does not need all of the engine */
+#endif
+"""
 """Makes every function of the engine a part of the one file alone."""
 
 _SYSTEM = re.compile(r"^#include (<(?:float|math|stddef|stdint|string)\.h>)\n", re.MULTILINE)

@@ -1,88 +1,111 @@
-"""Export of a predictive controller as one C99 file and its header."""
+"""Export of a controller as one C99 file and its header: the engine's text and one table of numbers."""
 
 from __future__ import annotations
 
-import ctypes
 import re
-from collections.abc import Mapping
+import subprocess
+import tempfile
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib import resources
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from hystmpc.core import build
+from hystmpc.core.library import engine
+from hystmpc.core.structs import Struct, constants
+from hystmpc.ctrl.command import limits_of_model, modelled_limits
+from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.ctrl.planner.settings import TipSettings, read_settings
+from hystmpc.ctrl.problem import problem_of, written_in
+from hystmpc.models.load import load_model, model_path
+from hystmpc.models.model import Predictor
+from hystmpc.models.networks.route import NetworkRoute
+from hystmpc.models.prediction.build import controller_model
+from hystmpc.models.program import BINARY, UNARY
+from hystmpc.models.stages import CODES
+from hystmpc.trials.errors import ExportError
 from hystmpc.trials.files import write_atomically
 
-from .layout import structs
-from .problem import ControllerProblem, problem_of
-from .steps import (
-    INEXACT,
-    chain_rest_source,
-    functions_used,
-    inverted_source,
-    model_source,
-    network_rest_source,
-    number,
-)
+from .amalgam import ONE_FILE, amalgam
+from .numbers import LINE, Numbers, number
 
-PARTS = (
-    "tables",
-    "model",
+ENGINE = (
+    "program",
+    "chain",
+    "slopes",
+    "rest",
+    "inverse",
     "network",
-    "state",
+    "moves",
+    "drive",
+    "predictor",
+    "preview",
+    "at_rest",
+    "basis",
+    "learning",
+    "model",
+    "estimator",
     "observer",
+    "frames",
+    "qp",
+    "law",
+    "normals",
+    "planning",
+    "sampling",
+    "random_plans",
     "planner",
     "predictive",
     "feedback",
     "controller",
 )
-"""The files `codegen/c/*.c`, in the order in which they are laid end to end behind those of the engine."""
-_ENGINE: Mapping[str, tuple[str, ...]] = {
-    "horizon": ("real.h", "linear.h", "qp.h", "law.h", "qp.c", "law.c"),
-    "front": ("moves.h", "moves.c"),
-    "back": ("moves.h", "moves.c"),
-    "senses": ("estimator.h", "estimator.c"),
-    "learns": ("learned_state.h", "basis.h", "learning.h", "basis.c", "learning.c"),
-}
-"""The engine's files `core/*` that a controller takes where its size of that name is not zero."""
+"""The engine's files `core/*.c` that are laid end to end."""
 
-# Thresholds for solved, dependent or equal, in double and in single precision; None where `problem` has the number.
-_TOLERANCES: Mapping[str, tuple[float | None, float]] = {
-    "miss": (1e-11, 1e-6),
-    "narrow": (1e-13, 1e-6),
-    "linear": (1e-6, 1e-4),
-}
-_CHANGES = 1000  # of the active set in one program
-_MOST_SAMPLES = 1_000_000_000
+LANES, BLOCK = 8, 64
+"""Units of a panel of a network's weights; numbers of a row of a block, which decides how much room a step takes."""
+
+EXACT = ("fabs", "sqrt", "rint", "ceil", "floor", "fmaf")
+"""Functions of <math.h> whose results are exact or rounded correctly wherever floating point is IEC 60559."""
+INEXACT = ("exp", "log", "log1p", "tanh", "sin", "cos", "pow")
+"""Functions of <math.h> whose last digits differ from one C library to the next."""
+
+_UNUSED = """#ifdef __GNUC__
+#pragma GCC diagnostic ignored "-Wunused-function" /* a controller needs a part of its engine */
+#endif
+"""
+_RENAMED = "hystmpc_memory_bytes", "hystmpc_bytes_of_memory"
+"""A function of the engine whose name the header needs, and its name within the file."""
+_HEAD, _STAGE, _WORDS = (
+    7,
+    9,
+    5,
+)  # of a chain: numbers before its outputs, of a stage, of an instruction; see core/chain.h
+_LONGEST_S = 10.0
 
 
 @dataclass(frozen=True)
 class ControllerExport:
-    """Predictive controller as C99 source.
+    """Controller as C99 source.
 
     Attributes:
         header, source: text of hystmpc.h and hystmpc.c.
-        parts: the same source as separate files, each of which compiles alone, by name.
-        memory_bytes: of the struct that holds the controller, its room for a step included.
-        remembered_bytes: the part of it that is the controller's state.
+        memory_bytes: of the struct that holds the controller, its room for a call included.
+        remembered_bytes: the first part of it, which is the controller's state.
         functions: of <math.h> that are called; those without an exact result are `inexact`.
         sample_s: time between two steps [s].
         reference_samples: reference angles that a step uses.
-        structs: of the header, as ctypes.
+        problem: that the source states, `hystmpc_problem` of core/controller.h.
     """
 
     header: str
     source: str
-    parts: Mapping[str, str]
     memory_bytes: int
     remembered_bytes: int
     functions: tuple[str, ...]
     sample_s: float
     reference_samples: int
-    structs: Mapping[str, type[ctypes.Structure]]
+    problem: Struct
 
     @property
     def inexact(self) -> tuple[str, ...]:
@@ -97,56 +120,96 @@ class ControllerExport:
 
 
 def export_controller(
-    source: Path | str | Mapping[str, Any] | TipSettings, *, single: bool = False, folder: Path | None = None
+    source: Path | str | Mapping[str, Any] | TipSettings,
+    *,
+    single: bool = False,
+    lanes: int = LANES,
+    folder: Path | None = None,
 ) -> ControllerExport:
-    """Export the predictive controller of `TipController.from_config(source)` as C99.
+    """Export the controller of `TipController.from_config(source)` as C99.
 
-    Its commands are those of the Python controller, `GuardedController.step`, to rounding. Supported are models of
-    operators, LSTM and GRU, the linearised controller, and a continuous sensor or none.
+    Its commands are those of the Python controller, which steps by the same engine. Supported is all that the engine
+    has; not a model or a law written in Python, nor the solver OSQP.
 
     Args:
         source: a `tip.yaml`, a mapping or settings.
         single: use float instead of double.
+        lanes: units of a panel of a network's weights; 1 for a compiler without the vectors of GNU C.
         folder: base of relative file names in a mapping.
 
     Raises:
         ExportError: where a part of the controller has no C; says what was got and what is supported.
         ConfigError, ModelError, ControllerError: as `TipController.from_config`.
     """
+    if lanes not in (1, 4, 8):
+        raise ExportError(f"export-c: got {lanes} lanes, expected 1, 4 or 8")
     settings, home = read_settings(source)
-    problem = problem_of(settings, home if folder is None else folder)
-    sizes, numbers = _sizes(problem, single), _numbers(problem, single)
-    models = _models(problem)
-    files = {"hystmpc.h": _template("hystmpc.h"), "internal.h": _template("internal.h"), **_engine_files(problem.sizes)}
-    files |= {f"{name}.c": _template(f"{name}.c") for name in PARTS if name != "network" or problem.network is not None}
-    made = {"hystmpc_problem.h": sizes, "hystmpc_numbers.h": numbers, "steps.c": f'#include "internal.h"\n\n{models}'}
-    head = (
-        f"/* {problem.words}\n * Written by hystmpc {version('hystmpc')}; any change is lost at the next export. */\n"
-    )
-    left = {**files, **made}
-    header = head + _inlined(left.pop("hystmpc.h"), left)
-    mains = ["internal.h", "steps.c", *(name for name in files if name.endswith(".c"))]
-    source_text = "\n".join(
-        [
-            head + "#define HYSTMPC_ONE_FILE\n#define HYSTMPC_LOCAL static\n#define HYSTMPC_SHARED static",
-            *(_inlined(left.pop(name), left) for name in mains),
-        ]
-    )
-    real = ctypes.c_float if single else ctypes.c_double
-    macros = {f"HYSTMPC_{name.upper()}": value for name, value in problem.sizes.items()}
-    kinds = structs(header, macros, real)
-    whole, work = (ctypes.sizeof(kinds[f"hystmpc_{name}"]) for name in ("controller", "work"))
-    made |= {"hystmpc_problem.h": _guarded("PROBLEM", sizes), "hystmpc_numbers.h": _guarded("NUMBERS", numbers)}
+    problem, predictor, words = _problem(settings, home if folder is None else folder)
+    about = f"/* {words}\n * Written by hystmpc {version('hystmpc')}; any change is lost at the next export. */\n"
+    networks = any(isinstance(part, NetworkRoute) for part in _parts(problem))
+    text = about + _source(problem, predictor.rest_part, single, lanes if networks else 1)
+    remembered, whole = _bytes(problem, predictor, text, _header(problem, single, 1, 2))
     return ControllerExport(
-        header,
-        source_text,
-        {**files, **made, "real.h": f'#include "hystmpc.h"\n\n{files["real.h"]}'},
+        about + _header(problem, single, remembered, whole),
+        text,
         whole,
-        whole - work,
-        functions_used(source_text),
-        float(np.asarray(problem.numbers["dt_s"])),
-        problem.sizes["reference"],
-        kinds,
+        remembered,
+        tuple(name for name in (*EXACT, *INEXACT) if name in _functions(problem)),
+        problem.fields["dt_s"],
+        _samples(problem),
+        problem,
+    )
+
+
+def _problem(settings: TipSettings, folder: Path) -> tuple[Struct, Predictor, str]:
+    """The problem of the settings' controller, the model's predictor, and a line on both."""
+    controller = settings.controller.resolved()
+    if hasattr(controller, "law"):
+        raise ExportError(
+            f"export-c: got the law {type(controller).__name__} written in Python, expected one of hystmpc"
+        )
+    if isinstance(controller, LinearisedMpcSettings) and controller.solver != "active_set":
+        raise ExportError(f"export-c: got controller.solver {controller.solver}, supported is active_set: an exact one")
+    model = load_model(model_path(settings.model, folder), start="conditioned")
+    inverse = None if settings.inverse is None else model_path(settings.inverse, folder)
+    known, facts = controller_model(model, inverse, settings.actuator_lag_s), model.metadata
+    predictor, inverted = known.predictive if controller.predicts else known.feedforward
+    limits = modelled_limits(settings.limits, limits_of_model(facts))
+    problem = problem_of(controller, predictor, inverted, limits)
+    if written := written_in(problem):
+        raise ExportError(
+            f"export-c: got a model of kind {facts.kind} with {written} that is computed by Python, "
+            "supported are operators, lstm and gru, and what connects them"
+        )
+    least, most, dt = problem.fields["lower"], problem.fields["upper"], problem.fields["dt_s"]
+    rate = problem.fields["reach"] / dt
+    words = f"{settings.model}: {settings.controller.kind} on {facts.kind}, every {dt:g} s"
+    return problem, predictor, f"{words}, {least:g} to {most:g} at {rate:g} per s [{facts.command_unit}]"
+
+
+def _samples(problem: Struct) -> int:
+    return int(engine().reference_samples(problem.address))
+
+
+def _source(problem: Struct, rest: Struct | None, single: bool, lanes: int) -> str:
+    """Text of hystmpc.c: the engine, the numbers, the functions of the header."""
+    numbers = Numbers(single, lanes)
+    model = problem.fields.get("model")
+    at_rest = f"&{numbers.put(rest)}" if model is not None and rest is not None else "NULL"
+    numbers.put(problem, "exported_problem")
+    old, new = _RENAMED
+    macros = {"HYSTMPC_SINGLE": int(single), "HYSTMPC_LANES": lanes, "HYSTMPC_BLOCK": BLOCK, old: new}
+    return "\n".join(
+        [
+            *(f"#define {name} {value}" for name, value in macros.items()),
+            ONE_FILE + _UNUSED,
+            amalgam(f"{name}.c" for name in ENGINE),
+            f"#undef {old}\n\n/* Numbers of this controller. */\n",
+            LINE,
+            numbers.text,
+            f"static const hystmpc_rest_rule *const exported_rest = {at_rest};\n",
+            _template("front.c"),
+        ]
     )
 
 
@@ -154,67 +217,121 @@ def _template(name: str) -> str:
     return resources.files("hystmpc.codegen").joinpath("c", name).read_text(encoding="utf-8")
 
 
-def _engine_files(sizes: Mapping[str, int]) -> Mapping[str, str]:
-    """Text of the engine's files that a controller of these sizes needs, by name."""
-    names = dict.fromkeys(name for size, needed in _ENGINE.items() if sizes[size] for name in needed)
-    folder = resources.files("hystmpc.core")
-    texts = {name: folder.joinpath(name).read_text(encoding="utf-8") for name in names}
-    return {name: _for_export(text) for name, text in texts.items()}
+def _header(problem: Struct, single: bool, remembered: int, whole: int) -> str:
+    fields, folder = problem.fields, resources.files("hystmpc.core")
+    headers = [folder.joinpath(f"{name}.h").read_text(encoding="utf-8") for name in ("controller", "observer")]
+    wanted = ("HYSTMPC_MPC", "HYSTMPC_OK"), ("HYSTMPC_STARTED",)
+    said = [_enumeration(text, first) for text, names in zip(headers, wanted, strict=True) for first in names]
+    command = _about("typedef struct", "} hystmpc_command;", headers[0]).replace("    real ", "    hystmpc_real ")
+    sizes = {
+        "SAMPLE_S": number(fields["dt_s"], False),
+        "LOWEST": number(fields["lower"], False),
+        "HIGHEST": number(fields["upper"], False),
+        "REFERENCE": _samples(problem),
+        "REMEMBERED": remembered,
+        "BYTES": whole,
+    }
+    lines = [f"#define HYSTMPC_{name} {value}" for name, value in sizes.items()]
+    lines += ["#ifndef HYSTMPC_SINGLE", f"#define HYSTMPC_SINGLE {int(single)}", "#endif", ""]
+    text = _template("hystmpc.h").replace("@SIZES@\n", "\n".join(lines))
+    text = text.replace("@REAL@", "float" if single else "double")
+    return text.replace("@ENGINE@", "\n\n".join([*said, command]))
 
 
-def _for_export(text: str) -> str:
-    """Text of the engine without what its library alone needs."""
-    return text.replace('#include "hystmpc_core.h"\n', "").replace("HYSTMPC_API", "HYSTMPC_LOCAL")
+def _enumeration(text: str, first: str) -> str:
+    """The enumeration of a header that begins with a name, and the comment before it."""
+    found = re.search(rf"(/\*(?:(?!\*/).)*\*/\n)?enum \{{\s+{first}\b[^}}]*\}};", text, re.DOTALL)
+    assert found is not None, first
+    return found[0]
 
 
-def _inlined(text: str, left: dict[str, str]) -> str:
-    """Text with the text of a header in the place where it is included first, and nothing elsewhere.
-
-    Args:
-        left: files that have not been inlined yet, by name; those inlined here are taken out.
-    """
-
-    def included(match: re.Match[str]) -> str:
-        return _inlined(left.pop(match[1], ""), left)
-
-    return re.sub(r'^#include "(?!hystmpc\.h)(.+)"\n', included, text, flags=re.MULTILINE)
+def _about(begin: str, end: str, text: str) -> str:
+    """The declaration that ends so, from its last beginning on, and the comment before it."""
+    stop = text.index(end) + len(end)
+    start = text.rindex(begin, 0, stop)
+    return text[text.rindex("/*", 0, start) : stop]
 
 
-def _guarded(name: str, text: str) -> str:
-    return f"#ifndef HYSTMPC_{name}_H\n#define HYSTMPC_{name}_H\n{text}#endif\n"
+def _bytes(problem: Struct, predictor: Predictor, source: str, header: str) -> tuple[int, int]:
+    """Bytes that are remembered, and of the whole struct: as a compiler says, else as many as are enough."""
+    if known := _measured(source, header):
+        remembered, room = known
+    else:
+        core, address = engine("plain"), problem.address
+        remembered, room, model = core.memory_bytes(address), core.room_bytes(address), problem.fields.get("model")
+        if model is not None and predictor.rest_part is not None:
+            part = model.fields["predictor"]
+            at_rest = core.at_rest_bytes(predictor.rest_part.address, part.address)
+            room = max(room, at_rest) + 8 * part.fields["states"] + 2 * 64
+    remembered = -(-remembered // 8) * 8
+    return remembered, remembered + -(-room // 8) * 8
 
 
-def _sizes(problem: ControllerProblem, single: bool) -> str:
-    lines = [f"typedef {'float' if single else 'double'} hystmpc_real;", f"#define HYSTMPC_SINGLE {int(single)}"]
-    public = {"sample_s": "dt_s", "lowest": "lower", "highest": "upper"}
-    lines += [f"#define HYSTMPC_{name.upper()} {problem.numbers[key]!r}" for name, key in public.items()]
-    lines += [f"#define HYSTMPC_{name.upper()} {value}" for name, value in sorted(problem.sizes.items())]
-    return "\n".join([*lines, ""])
+_MEASURE = """#include "hystmpc.c"
+#include <stdio.h>
+int main(void) { printf("%ld %ld", exported_memory(), exported_room()); return 0; }
+"""
 
 
-def _numbers(problem: ControllerProblem, single: bool) -> str:
-    lines = [f"#define HYSTMPC_CHANGES {_CHANGES}", f"#define HYSTMPC_MOST_SAMPLES {_MOST_SAMPLES}"]
-    values = {**problem.numbers, **{k: pair[single] for k, pair in _TOLERANCES.items() if pair[single] is not None}}
-    lines += [f"#define HYSTMPC_{name.upper()} {_initialiser(value)}" for name, value in sorted(values.items())]
-    return "\n".join([*lines, ""])
+def _measured(source: str, header: str) -> tuple[int, int] | None:
+    """Bytes of memory and of room in this precision; None without a compiler."""
+    try:
+        command = build.compiler()
+    except RuntimeError:
+        return None
+    if command is None:
+        return None
+    with tempfile.TemporaryDirectory(prefix="hystmpc-c-") as folder:
+        for name, text in {"hystmpc.h": header, "hystmpc.c": source, "measure.c": _MEASURE}.items():
+            (Path(folder) / name).write_text(text, encoding="utf-8")
+        try:
+            build.run(command, ["-std=c99", "-O0", "-o", "measure", "measure.c", "-lm"], Path(folder))
+            done = subprocess.run([Path(folder) / "measure"], capture_output=True, timeout=_LONGEST_S, check=True)
+        except (RuntimeError, OSError, subprocess.SubprocessError):
+            return None
+    remembered, room = done.stdout.split()
+    return int(remembered), int(room)
 
 
-def _initialiser(value: Any) -> str:
-    if isinstance(value, float):
-        return number(value)
-    array = np.asarray(value)
-    if array.ndim:
-        return "{" + ", ".join(_initialiser(part) for part in array) + "}"
-    return str(int(array)) if array.dtype.kind == "i" else number(float(array))
+def _parts(part: Any) -> Iterator[Any]:
+    """A struct and all that it points to."""
+    yield part
+    for value in part.fields.values() if isinstance(part, Struct) else ():
+        yield from _parts(value)
 
 
-def _models(problem: ControllerProblem) -> str:
-    rest = problem.rest
-    sources = [
-        (inverted_source if name == "middle" else model_source)(name, step) for name, step in problem.steps.items()
-    ]
-    if problem.network is not None:
-        sources.append(problem.network.source())
-    rule = rest.offset, rest.by_angle, rest.by_command, rest.warmup
-    at_rest = chain_rest_source(*rule) if problem.network is None else network_rest_source(*rule, rest.companion_held)
-    return "\n".join([*sources, at_rest])
+def _functions(problem: Struct) -> set[str]:
+    """Functions of <math.h> that a step of this controller may call."""
+    called, kinds = {"fabs", "sqrt", "rint"}, constants()
+    for part in _parts(problem):
+        if isinstance(part, NetworkRoute):
+            called |= {"fmaf"} | ({"exp"} if part.weights.cell == "gated" else set())
+        if not isinstance(part, Struct):
+            continue
+        if part.fields.get("chain") is not None:
+            called |= _called_by(part.fields["chain"].tolist())
+        if part.name == "hystmpc_sampling":
+            called |= {"exp", "log1p"}
+        if part.name == "hystmpc_sensing" and part.fields["sensor"] == kinds["HYSTMPC_FRAMES"]:
+            called |= {"exp", "ceil"}
+    return called
+
+
+def _called_by(chain: list[int]) -> set[str]:
+    """Functions that the operations of a chain call, see core/program.h."""
+    names = {CODES[name]: name for name in (*BINARY, *UNARY)}
+    codes: set[int] = set()
+    for stage in range(chain[0]):
+        place = _HEAD + chain[6] + _STAGE * stage
+        for at in chain[place : place + 2]:
+            if at >= 0:
+                codes |= _operations(chain[at:])
+    return {names[code] for code in codes if code in names} & {*EXACT, *INEXACT}
+
+
+def _operations(table: list[int]) -> set[int]:
+    """Operations of all phases but the first, whose results the file holds."""
+    head, phases = table[0], table[11:19]
+    first = head + table[5]
+    begin, end = first + _WORDS * phases[0], first + _WORDS * sum(phases)
+    return set(table[begin:end:_WORDS])

@@ -44,6 +44,7 @@ _STRUCT = re.compile(r"typedef struct\s*(?:\w+\s*)?\{([^}]*)\}\s*(\w+);")
 _FUNCTION = re.compile(r"(\w+) \(\*(\w+)\)\((.*)\)", re.DOTALL)
 _PLAIN = re.compile(r"(\w+)\s*(.*)", re.DOTALL)
 _NAME = re.compile(r"(\**)\s*(\w+)((?:\[[^\]]+\])*)")
+_CHOICE = re.compile(r"([^?]+)\?([^:]+):(.+)")
 _SKIPPED = re.compile(r"\b(?:const|volatile|struct)\b\s*")
 
 
@@ -252,7 +253,9 @@ def _constants(plain: str) -> dict[str, int]:
 
 
 def _whole(expression: str, known: Mapping[str, int]) -> int:
-    """Value of a number, a name, or a sum of them."""
+    """Value of a number, a name, a sum of them, or a choice `name ? value : value`."""
+    if choice := _CHOICE.fullmatch(expression.strip()):
+        return _whole(choice[2 if _whole(choice[1], known) else 3], known)
     parts = [part.strip() for part in expression.split("+")]
     return sum(known[part] if part in known else int(part, 0) for part in parts)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from hystmpc.core.structs import constants
@@ -50,7 +50,9 @@ def planner_words(fault: int) -> str:
     return _PLANNER.get(fault) or f"active set: {status_of(fault)}"
 
 
-def status_words(answer: Any, level: int, forecast_error: float, stalled: int, more: Mapping[str, Any]) -> str:
+def status_words(
+    answer: Any, level: int, forecast_error: float, stalled: int, faults: Sequence[str], more: Mapping[str, Any]
+) -> str:
     """Return the status line of an answer.
 
     Args:
@@ -58,16 +60,18 @@ def status_words(answer: Any, level: int, forecast_error: float, stalled: int, m
         level: of the supervisor, after the step.
         forecast_error: relative error of the forecasts.
         stalled: samples for which the model has not advanced, after the step.
-        more: words of the reasons that are known outside the engine: cause, reference, stalled (before the step),
-            refusal, outside, inverse, advance, unfinished.
+        faults: what functions written in Python have raised in this step, in their order: see `core.outside`.
+        more: words that are known outside the engine: cause, reference, stalled (before the step), refusal, unfinished.
     """
-    source, notes = SOURCES[answer.source], []
+    source, notes, raised = SOURCES[answer.source], [], iter(faults)
     if answer.status != OK:
-        words = {"planner": planner_words(answer.fault), **more}
-        reason = _REASONS[answer.status].format(missing=answer.missing, **words)
+        outside = next(raised, "it has failed") if answer.status == FAILED else ""
+        words = {"missing": answer.missing, "planner": planner_words(answer.fault), "outside": outside, **more}
+        reason = _REASONS[answer.status].format(**words)
         notes.append(f"stopped: {reason}" if source is Source.STOP else reason)
         if answer.inverse:
-            notes.append("the inverse answers no finite command" if answer.inverse == 1 else str(more["inverse"]))
+            no_number = "the inverse answers no finite command"
+            notes.append(no_number if answer.inverse == 1 else next(raised, no_number))
     else:
         if level:
             notes.append(f"{LEVELS[level]}: forecasts are off by {100 * forecast_error:.0f} % of the motion")
@@ -76,5 +80,5 @@ def status_words(answer: Any, level: int, forecast_error: float, stalled: int, m
     if answer.missing:
         notes.append(f"measurement missing or outlying for {answer.missing} samples, predicted")
     if stalled:
-        notes.append(f"model state not advanced: {more['advance'] or 'its answer is not finite'}")
+        notes.append(f"model state not advanced: {next(raised, 'its answer is not finite')}")
     return "; ".join(notes) or "ok"

@@ -7,35 +7,30 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 from threading import local
 from time import perf_counter
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.core.library import HoldsAddresses, engine
+from hystmpc.core.outside import faults, forget_faults, raised_last
 from hystmpc.core.structs import Struct, constants, layout
-from hystmpc.models.written import Written, written_in
 from hystmpc.trials.brief import brief, in_brief
 from hystmpc.trials.errors import ControllerError, HystmpcError, shown
 from hystmpc.trials.types import Index, Vec
 
 from .answers import SOURCES, status_words
-from .command import EMPTY, Command, CommandLimits, Timing, described, number_of, numbers_of
-from .estimation.observer import ANGLE_BOUND_DEG, Estimate, Observer, Places, usable_angle
+from .command import EMPTY, Command, CommandLimits, Timing, number_of, numbers_of
+from .estimation.observer import ANGLE_BOUND_DEG, Bytes, Estimate, Observer, Places, read_estimate, usable_angle
 from .law import Law, LawPart
 from .linearised.program import IterativeSolution
 
 _ROUNDING = 1e-6  # of a sample
 _HEAD, _KNOWN, _COMMAND = layout("hystmpc_head"), layout("hystmpc_known"), layout("hystmpc_command")
 _BEHIND_HEAD = -(-ctypes.sizeof(_HEAD) // 8) * 8
-_BEHIND_KNOWN = _BEHIND_HEAD + -(-ctypes.sizeof(_KNOWN) // 8) * 8
 _NOT_AT_REST = constants()["HYSTMPC_NOT_AT_REST"]
 _STOPPED = "after repeated failures"
-
-Bytes = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,15 +75,7 @@ class GuardedState:
     @cached_property
     def estimate(self) -> Estimate:
         """What is known of the device."""
-        places, k = self.places, self.known
-        numbers = self.memory[_BEHIND_KNOWN:].view(np.float64)
-        ends = np.cumsum([0, places.states, *[places.angles] * 3, 3 * places.filters]).tolist()
-        model, angles, responsive, moves, bank = (numbers[a:b] for a, b in pairwise(ends))
-        return Estimate(
-            model, k.command, tuple(angles.tolist()), tuple(bool(one) for one in responsive.tolist()),
-            tuple(moves.tolist()), k.disturbance, k.variance, k.measured, k.missing, k.stalled, k.added,
-            k.forecast_error, bank.reshape(3, -1), k.since,
-        )  # fmt: skip
+        return read_estimate(self.memory[_BEHIND_HEAD:], self.places)
 
     def __getstate__(self) -> Mapping[str, Any]:
         names = ("memory", "places", "law", "cause", "refusal")
@@ -132,8 +119,6 @@ class GuardedController(HoldsAddresses):
         self._places = observer.places
         model = problem.fields.get("model")
         self._states = 0 if model is None else int(core.model_states(model.address))
-        parts = {} if model is None else model.fields
-        self._predictors, self._inverses = (tuple(written_in(parts.get(name))) for name in ("predictor", "inverse"))
         self._unusable = np.full(self._horizon, np.nan)
         self._local = local()
 
@@ -189,7 +174,7 @@ class GuardedController(HoldsAddresses):
         memory = np.zeros(self._bytes, dtype=np.uint8)
         x = None if self._rest is None else np.ascontiguousarray(self._rest(angle, held), dtype=np.float64)
         answer = self._engine.controller_init(self._address, memory, x, angle, held, self._room)
-        if error := self._raised(self._predictors):
+        if error := raised_last():
             raise error
         if answer == _NOT_AT_REST:
             raise self._observer.not_at_rest(x, angle, held)
@@ -212,9 +197,7 @@ class GuardedController(HoldsAddresses):
         memory, room = state.memory.copy(), self._room
         for y, u in zip(angles[first:].tolist(), commands[first:].tolist(), strict=True):
             if self._engine.controller_look_on(self._address, memory, y, u, room):
-                raise ControllerError(
-                    f"replay: the model fails at command {u}: {self._words(self._predictors) or 'not finite'}"
-                )
+                raise ControllerError(f"replay: the model fails at command {u}: {' '.join(faults()) or 'not finite'}")
         law = None if self._outside is None else self._outside.law.init(state.due, float(commands[-1]))
         return replace(state, memory=memory, law=law)
 
@@ -258,7 +241,7 @@ class GuardedController(HoldsAddresses):
         age = 0.0 if -_ROUNDING < age < 0.0 else age
         memory = state.memory.copy()
         if not self._engine.controller_measure(self._address, memory, usable_angle(y), age, self._room):
-            raise ControllerError(self._words(self._predictors) or self._observer.refused(y, age))
+            raise ControllerError("; ".join(faults()) or self._observer.refused(y, age))
         return replace(state, memory=memory)
 
     def stop(self, state: GuardedState, cause: str) -> GuardedState:
@@ -280,6 +263,7 @@ class GuardedController(HoldsAddresses):
         memory, plan, answer = state.memory.copy(), np.empty((2, self._planned)), _COMMAND()
         if state.refusal:
             self._engine.controller_hurry(self._address, memory)
+        forget_faults()
         if self._outside is not None:
             self._outside.begin(state.law)
         address = ctypes.addressof(answer)
@@ -322,39 +306,14 @@ class GuardedController(HoldsAddresses):
         if not (answer.status or answer.missing or known.stalled or level or answer.fault > 0):
             note = "" if self._outside is None or self._outside.answer is None else self._outside.answer.status
             return note or "ok"
-        law, solution = self._outside and self._outside.error, self._solution and self._solution.error
-        model, inverse = self._words(self._predictors), self._words(self._inverses)
         more = {
             "cause": state.cause,
             "reference": fault,
             "stalled": state.known.stalled,
             "refusal": state.refusal,
-            "outside": self._said(law) or self._said(solution) or model or inverse,
-            "inverse": inverse or model,
-            "advance": model,
             "unfinished": "" if self._solution is None else f"{self._solution.words}, its best step used",
         }
-        return status_words(answer, level, known.forecast_error, known.stalled, more)
-
-    @staticmethod
-    def _raised(parts: tuple[Written, ...]) -> BaseException | None:
-        """Fetch what a function in Python of these parts has raised."""
-        error = None
-        for part in parts:
-            error, part.error = error or part.error, None
-        return error
-
-    def _words(self, parts: tuple[Written, ...]) -> str:
-        return self._said(self._raised(parts))
-
-    @staticmethod
-    def _said(error: BaseException | None) -> str:
-        """One line on an exception; one that ends the program goes on."""
-        if error is None:
-            return ""
-        if not isinstance(error, Exception):
-            raise error
-        return described(error)
+        return status_words(answer, level, known.forecast_error, known.stalled, faults(), more)
 
     @property
     def _room(self) -> Bytes:

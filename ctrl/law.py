@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Generic, TypeVar, final
 
 import numpy as np
 
+from hystmpc.core.outside import keep_fault
 from hystmpc.core.structs import constants, layout
 from hystmpc.trials.config import Count, NotNegativeInt, Settings
 from hystmpc.trials.types import Vec
@@ -111,19 +112,13 @@ class LawPart:
 
     def begin(self, memory: Any) -> None:
         """Set the memory with which the next sample is proposed."""
-        self._local.memory, self._local.answer, self._local.error = memory, None, None
+        self._local.memory, self._local.answer = memory, None
 
     @property
     def answer(self) -> Proposal[Any] | None:
         """Proposal of this sample; None where the law failed, or was not asked."""
         answer: Proposal[Any] | None = getattr(self._local, "answer", None)
         return answer
-
-    @property
-    def error(self) -> BaseException | None:
-        """What the law has raised in this sample."""
-        error: BaseException | None = getattr(self._local, "error", None)
-        return error
 
     def __call__(self, given: int, proposal: int) -> int:
         """Ask the law; 0, or 1 where it raises."""
@@ -132,8 +127,8 @@ class LawPart:
             with np.errstate(all="ignore"):
                 answer = self.law.propose(self._local.memory, self._input(asked), Stopwatch())
             out.u = float(answer.u)
-        except BaseException as error:  # noqa: BLE001 - through C no exception passes; `error` hands it on
-            self._local.error = error
+        except BaseException as error:  # noqa: BLE001 - through C no exception passes
+            keep_fault(error)
             return 1
         out.source = _SOURCES[answer.source or self.law.source]
         out.planned = planned = min(answer.plan.size, horizon)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hystmpc.core.structs import Struct, constants, struct
+from hystmpc.core.structs import Struct, constants, fields_of, struct
 from hystmpc.models.inverse.drive import DrivenInverse
 from hystmpc.models.inverse.inverses import inverted_after_a_hold
 from hystmpc.models.model import Inverse, Predictor, static_gain
@@ -331,3 +331,21 @@ def _sampling(settings: SamplingMpcSettings, device: _Device, horizon: int) -> S
         whitening=np.linalg.inv(factor).T,
         fitted=law_over(settings.weights, horizon, device.limits, device.dt, None if single else blocks),
     )
+
+
+_WRITTEN = {
+    "hystmpc_control_law": "a law",
+    "hystmpc_planner": "a solver of quadratic programs",
+    "hystmpc_outside": "a model or an inverse",
+}
+
+
+def written_in(part: Struct) -> str:
+    """Return what of a controller is written in Python, in words; empty if nothing."""
+    for field in fields_of(part.name):
+        value = part.fields.get(field.name)
+        if value is not None and field.arguments is not None:
+            return _WRITTEN.get(part.name, part.name)
+        if isinstance(value, Struct) and (found := written_in(value)):
+            return found
+    return ""

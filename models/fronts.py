@@ -9,12 +9,12 @@ from typing import Any, final
 import numpy as np
 
 from hystmpc.core.library import engine
+from hystmpc.core.outside import raised_last
 from hystmpc.core.rooms import in_room
-from hystmpc.core.structs import Struct, struct
+from hystmpc.core.structs import Struct, constants, struct
 from hystmpc.trials.types import Vec
 
 from .model import Inverse, Predictor, kind_of
-from .written import taken_error
 
 
 @final
@@ -71,7 +71,7 @@ class Front:
         if size is None:
             size = self._sizes[rows, samples] = engine().model_bytes(self.whole.address, rows, samples)
         if in_room(size, function, self.whole.address, *given):
-            raise taken_error(self.whole) or RuntimeError("the engine's model failed without an exception of Python")
+            raise raised_last() or RuntimeError("the engine's model fails without an exception of Python")
 
     def _checked(self, state: Vec) -> Vec:
         """The engine does not look where memory ends."""
@@ -111,6 +111,12 @@ def pair_part(kind: str, first: Predictor, second: Predictor, size: int) -> Stru
     return struct("hystmpc_predictor", kind=kind_of(kind), states=size, first=first.part, second=second.part)
 
 
+def pair_rest(first: Predictor, second: Predictor) -> Struct:
+    """States at rest of two predictors as one `hystmpc_rest_rule`."""
+    rests = {"first": first.rest_part, "second": second.rest_part}
+    return struct("hystmpc_rest_rule", kind=constants()["HYSTMPC_RESTS"], **rests)
+
+
 class EngineInverse(Inverse):
     """Base of inverses whose function is the engine's, by their `part`.
 
@@ -131,7 +137,7 @@ class EngineInverse(Inverse):
             raise ValueError(f"state: got shape {state.shape}, expected ({size},)")
         given = self.part.address, _doubles(state), size, theta, u_last, u
         if in_room(self._room, engine().inverse_command, *given):
-            raise taken_error(self.part) or RuntimeError("the engine's inverse failed without an exception of Python")
+            raise raised_last() or RuntimeError("the engine's inverse fails without an exception of Python")
         return float(u[0])
 
     @cached_property

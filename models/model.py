@@ -174,9 +174,13 @@ class Predictor(WithPart, ABC):
     @cached_property
     def part(self) -> Struct:
         """The predictor as the engine reads it, `hystmpc_predictor`; it calls the methods of one written in Python."""
-        written = Written(self, self.state_size)
-        outside = struct("hystmpc_outside", advance=written.advance, run=written.run, linearise=written.linearise)
+        outside = Written(self, self.state_size).predictor()
         return struct("hystmpc_predictor", kind=kind_of("WRITTEN"), states=self.state_size, outside=outside)
+
+    @property
+    def rest_part(self) -> Struct | None:
+        """What `initial` does as the engine reads it, `hystmpc_rest_rule`; None of a predictor written in Python."""
+        return None
 
     @abstractmethod
     def initial(self, y: float, u: float) -> Vec:
@@ -207,6 +211,10 @@ class ModelPredictor(Predictor):
         self.noise, self.model_sigma_deg = metadata.noise, metadata.model_sigma_deg
         self._rest = RestRule(metadata, start)
 
+    @property
+    def rest_part(self) -> Struct | None:
+        return self._rest.part
+
     def initial(self, y: float, u: float) -> Vec:
         state = self._rest.states(np.array([u]), np.array([y]))[0]
         for _ in range(self._rest.hold_samples):
@@ -228,8 +236,7 @@ class Inverse(WithPart, ABC):
     @cached_property
     def part(self) -> Struct:
         """The inverse as the engine reads it, `hystmpc_inverse`; it calls `command` of one written in Python."""
-        outside = struct("hystmpc_outside", command=Written(self).command)
-        return struct("hystmpc_inverse", kind=kind_of("ANSWERED"), outside=outside)
+        return struct("hystmpc_inverse", kind=kind_of("ANSWERED"), outside=Written(self).inverse())
 
     @abstractmethod
     def command(self, state: Vec, theta: float, u_last: float) -> float:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar, final
 
 import numpy as np
 
+from hystmpc.core.structs import Struct, constants, struct
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.types import Index, Vec
 
@@ -42,6 +43,23 @@ class RestRule:
     def states(self, commands: Vec, angles: Vec) -> Vec:
         """States (N, S) at commands (N,) [command unit] with output angles (N,) [deg]."""
         return np.hstack([part(commands, angles) for part in self._parts])
+
+    @cached_property
+    def part(self) -> Struct:
+        """The rule as the engine reads it, `hystmpc_rest_rule` of core/at_rest.h."""
+        chain, held, kinds = self._whole, self.hold_samples, constants()
+        if chain is not None:
+            from .stages import prepared
+
+            run = prepared(chain.operators, self._facts.dt_s)
+            code, core = run.code, len(chain.before)
+            tables = {"chain": code.code, "constants": code.constants, "parameters": chain.values, "kept": run.kept}
+            return struct("hystmpc_rest_rule", kind=kinds["HYSTMPC_SETTLED"], held=held, core=core, **tables)
+        rule = self._rule
+        by_command = np.array(rule.by_command or (0.0,) * len(rule.offset))
+        offset = np.array(rule.offset) - rule.at_command * by_command
+        rows = {"offset": offset, "by_angle": rule.slope, "by_command": by_command}
+        return struct("hystmpc_rest_rule", kind=kinds["HYSTMPC_RULED"], held=held, **rows)
 
     @cached_property
     def _whole(self) -> Chain | None:

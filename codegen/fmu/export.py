@@ -14,15 +14,21 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Literal, get_args
 
+import numpy as np
+
+from hystmpc.core.chain import ChainCode
+from hystmpc.core.library import engine
 from hystmpc.models.operators.measurement import Sensor
 from hystmpc.models.simulator import Simulator
+from hystmpc.models.stages import operator_program
 from hystmpc.trials.errors import ExportError, did_you_mean
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.json_text import text_hash
 from hystmpc.trials.types import Vec
 
+from ..amalgam import ONE_FILE, amalgam
 from ..compiler import compiler, shared_library, zig
-from ..steps import Step, functions_used, number, step_source
+from ..literals import functions_called, number, table
 from .description import Described, build_description, model_description
 
 FmuVersion = Literal["2.0", "3.0"]
@@ -133,7 +139,8 @@ def export_fmu(
         rest_command=simulator.rests_at if rest_command is None else rest_command,
         tool=f"hystmpc {version_of('hystmpc')}",
     )
-    step = step_source("device", Step(simulator.chain.transition, simulator.chain.values, simulator.dt_s))
+    code = _chain_code(simulator)
+    step = _tables(code, code.prepare(simulator.chain.values.reshape(-1, 1), simulator.dt_s))
     described = replace(described, token=_token(described, step, rest, version))
     sources = _sources(described, step, rest, version)
     made = _binaries(described.identifier, sources, version, platforms)
@@ -146,7 +153,25 @@ def export_fmu(
         described,
         {**{path: text.encode() for path, text in files.items()}, **{path: made[path] for path in made}},
         tuple(key for key, platform in PLATFORMS.items() if platform.path(described.identifier, version) in made),
-        functions_used(step),
+        functions_called(code),
+    )
+
+
+def _chain_code(simulator: Simulator) -> ChainCode:
+    """The simulator's operators as numbers, without their states at rest: that at the start is known."""
+    none = {"rest": np.empty(0, dtype=np.intc), "rest_constants": np.empty(0)}
+    return ChainCode([replace(operator_program(operator), **none) for operator in simulator.chain.operators])
+
+
+def _tables(code: ChainCode, kept: Vec) -> str:
+    """C text of a chain for `hystmpc_chain_step`, and of the room that a step needs."""
+    room = -(-int(engine().chain_single_bytes(code.code)) // 8)  # pointers of no machine are longer than ours
+    return "\n".join(
+        [
+            f"#define HYSTMPC_ROOM {room} /* doubles of a step */",
+            table("device_chain", "int", map(str, code.code.tolist())),
+            table("device_kept", "real", map(number, kept.ravel().tolist())),
+        ]
     )
 
 
@@ -177,17 +202,8 @@ def _sources(described: Described, step: str, rest: tuple[float, Vec], version: 
         f"/* {described.chain}, {described.sample_s:g} s.",
         f" * Written by {described.tool}; any change is lost at the next export. */",
         *([f"#define FMI3_FUNCTION_PREFIX {described.identifier}_"] if version == "3.0" else []),
-        "/* A product and a sum rounded each, as in Python; gcc does so under -std=c99. */",
-        "#if defined(__clang__)",
-        "#pragma STDC FP_CONTRACT OFF",
-        "#endif",
-        "",
-        "#include <math.h>",
-        "",
-        "typedef double real;",
-        "#define R(x) x",
-        "#define MATH(name) name",
-        "#define INFINITE INFINITY",
+        ONE_FILE,
+        amalgam(("program.c", "inverse.c")),
         f'#define HYSTMPC_TOKEN "{described.token}"',
         f"#define HYSTMPC_SAMPLE_S {number(described.sample_s)}",
         f"#define HYSTMPC_STATES {rest[1].size}",

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, Literal, NamedTuple, final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hystmpc.core.structs import Struct, constants, struct
+from hystmpc.core.structs import Struct, constants, layout, struct
 from hystmpc.models.model import Predictor
 from hystmpc.trials.brief import brief
 from hystmpc.trials.config import NotNegative, NotNegativeInt, Positive, Settings
@@ -18,9 +21,13 @@ from hystmpc.trials.types import Vec
 from ..command import EMPTY, number_of
 from .noise import NoiseBank
 
+Bytes = NDArray[np.uint8]
+
 ANGLE_BOUND_DEG = 1e4  # far beyond any joint; keeps squares and sums of angles finite
 
 _EARNED_S, _DOUBT = 10.0, 5.0  # of frames: time constant of forgetting; prior doubt, as many frames of pure noise
+_KNOWN = layout("hystmpc_known")
+_BEHIND_KNOWN = -(-ctypes.sizeof(_KNOWN) // 8) * 8
 _RESOLUTION = 1e-9  # command changes below this share of the command range count as none
 
 
@@ -79,6 +86,29 @@ class Places(NamedTuple):
     states: int
     angles: int
     filters: int
+
+
+def read_estimate(memory: Bytes, places: Places) -> Estimate:
+    """Read the estimate that begins a memory (B,): see `hystmpc_estimate` in core/observer.h."""
+    k, numbers = _KNOWN.from_address(memory.ctypes.data), memory[_BEHIND_KNOWN:].view(np.float64)
+    ends = np.cumsum([0, places.states, *[places.angles] * 3, 3 * places.filters]).tolist()
+    model, angles, responsive, moves, bank = (numbers[a:b] for a, b in pairwise(ends))
+    return Estimate(
+        state=model,
+        command=k.command,
+        angles=tuple(angles.tolist()),
+        responsive=tuple(bool(one) for one in responsive.tolist()),
+        moves=tuple(moves.tolist()),
+        disturbance=k.disturbance,
+        variance=k.variance,
+        measured=k.measured,
+        missing=k.missing,
+        stalled=k.stalled,
+        added=k.added,
+        forecast_error=k.forecast_error,
+        bank=bank.reshape(3, -1),
+        since=k.since,
+    )
 
 
 @final

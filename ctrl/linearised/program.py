@@ -11,6 +11,7 @@ from typing import Any, final
 import numpy as np
 
 from hystmpc.core.library import engine
+from hystmpc.core.outside import keep_fault
 from hystmpc.core.structs import constants
 from hystmpc.trials.types import Mat, Vec
 
@@ -219,17 +220,11 @@ class IterativeSolution:
         """Words of this thread's last solution."""
         return str(getattr(self._local, "words", ""))
 
-    @property
-    def error(self) -> BaseException | None:
-        """What this thread's last solution has raised."""
-        error: BaseException | None = getattr(self._local, "error", None)
-        return error
-
     def __call__(
         self, reference: int, feedforward: int, scalars: int, jacobian: int, commands: int, angles: int, out: int
     ) -> int:
         """Solve the program around a plan; 0, 1 where the iterations ran out, or a negative number for no solution."""
-        size, self._local.error = self._horizon, None
+        size = self._horizon
         u_last, low, high = _numbers(scalars, 3).tolist()
         wanted, feed, plan, along = (_numbers(at, size) for at in (reference, feedforward, commands, angles))
         problem, around = PlanningProblem(plan, u_last, wanted, feed, (low, high)), CommandPlan(plan, along, 0.0)
@@ -239,8 +234,8 @@ class IterativeSolution:
             if not np.isfinite(data.hessian.sum() + data.gradient.sum()):
                 return _NO_PROGRAM if np.isfinite(slopes.sum()) else _NO_JACOBIAN
             solution = self._solver.solve(data)
-        except BaseException as error:  # noqa: BLE001 - through C no exception passes; `error` hands it on
-            self._local.error = error
+        except BaseException as error:  # noqa: BLE001 - through C no exception passes
+            keep_fault(error)
             return _NO_ANSWER
         self._local.words = f"{self._solver.name}: {solution.status}"
         if not solution.usable:

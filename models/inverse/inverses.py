@@ -13,7 +13,7 @@ from hystmpc.trials.errors import ModelError
 from hystmpc.trials.types import Vec
 
 from ..contract.metadata import ModelMetadata
-from ..fronts import EngineInverse, EnginePredictor, Front, pair_part
+from ..fronts import EngineInverse, EnginePredictor, Front, pair_part, pair_rest
 from ..model import Inverse, InvertiblePredictor, LoadedModel, Predictor, kind_of
 from ..prediction.compiled import CompiledPredictor
 from .drive import DrivenInverse
@@ -67,6 +67,10 @@ class AccompaniedPredictor(EnginePredictor):
     @cached_property
     def part(self) -> Struct:
         return pair_part("ACCOMPANIED", self.predictor, self.companion, self.state_size)
+
+    @property
+    def rest_part(self) -> Struct:
+        return pair_rest(self.predictor, self.companion)
 
     def initial(self, y: float, u: float) -> Vec:
         # What the two show before their first step is the measured angle for both: no difference is known yet.

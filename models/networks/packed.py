@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hystmpc.core.structs import layout, struct
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.types import Vec
 
@@ -21,15 +23,6 @@ _HALVES = {"lstm": (0.5, 0.5, 1.0, 0.5), "gru": (0.5, 0.5, 1.0, 1.0), "gated": (
 _SCALING = ("u_offset", "u_scale", "theta_offset", "theta_scale")
 _EIGHT = 8  # units are whole eights: the head sums so many at once
 _LINE = 64  # bytes of a cache line
-_HEADER = np.dtype(
-    [
-        ("scaling", np.float64, 4),
-        ("head_bias", np.float64),
-        ("sizes", np.intc, 4),  # kind, layers, hidden, inputs
-        ("front", np.float32, 3),
-        ("spare", np.float32, 15),
-    ]
-)  # struct hystmpc_network
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +138,32 @@ def pack_panels(weights: NetworkWeights, lanes: int) -> NDArray[np.float32]:
     return np.concatenate(parts).astype(np.float32)
 
 
+def network_numbers(weights: NetworkWeights, lanes: int) -> NDArray[np.float32]:
+    """Numbers behind the head of `hystmpc_network`: panels, head of the outputs and of the inputs, radii."""
+    head = np.zeros(weights.units(lanes))
+    head[: weights.hidden] = weights.head
+    rest = np.concatenate([head, weights.input_head, weights.radii]).astype(np.float32)
+    return np.concatenate([pack_panels(weights, lanes), rest])
+
+
+def network_facts(weights: NetworkWeights) -> Mapping[str, Any]:
+    """Fields of `hystmpc_network` by name."""
+    s, (keep, settled, rate) = weights.scaling, weights.front.tolist()
+    sizes = {"layers": len(weights.layers), "hidden": weights.hidden, "inputs": weights.layers[0].inputs}
+    return {
+        "u_offset": s.u_offset,
+        "u_scale": s.u_scale,
+        "theta_offset": s.theta_offset,
+        "theta_scale": s.theta_scale,
+        "head_bias": weights.head_bias,
+        "kind": _KINDS[weights.cell],
+        **sizes,
+        "keep": keep,
+        "settled": settled,
+        "rate": rate,
+    }
+
+
 def pack_network(weights: NetworkWeights, lanes: int) -> NDArray[np.uint8]:
     """The block of bytes that the engine reads, see `network.h`; it starts at a cache line.
 
@@ -152,15 +171,10 @@ def pack_network(weights: NetworkWeights, lanes: int) -> NDArray[np.uint8]:
         weights: of any width.
         lanes: of the engine, `network_lanes`.
     """
-    head = np.zeros(weights.units(lanes))
-    head[: weights.hidden] = weights.head
-    rest = np.concatenate([head, weights.input_head, weights.radii]).astype(np.float32)
-    numbers = np.concatenate([pack_panels(weights, lanes), rest])
-    header, s = np.zeros(1, _HEADER), weights.scaling
-    header["scaling"] = [s.u_offset, s.u_scale, s.theta_offset, s.theta_scale]
-    header["head_bias"], header["front"] = weights.head_bias, weights.front
-    header["sizes"] = [_KINDS[weights.cell], len(weights.layers), weights.hidden, weights.layers[0].inputs]
-    memory = np.empty(_HEADER.itemsize + numbers.nbytes + _LINE, np.uint8)
-    packed = memory[-memory.ctypes.data % _LINE :][: _HEADER.itemsize + numbers.nbytes]
-    packed[: _HEADER.itemsize], packed[_HEADER.itemsize :] = header.view(np.uint8), numbers.view(np.uint8)
+    numbers, head = network_numbers(weights, lanes), struct("hystmpc_network", **network_facts(weights))
+    size = ctypes.sizeof(layout("hystmpc_network"))
+    memory = np.empty(size + numbers.nbytes + _LINE, np.uint8)
+    packed = memory[-memory.ctypes.data % _LINE :][: size + numbers.nbytes]
+    ctypes.memmove(packed.ctypes.data, head.address, size)
+    packed[size:] = numbers.view(np.uint8)
     return packed

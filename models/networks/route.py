@@ -40,6 +40,7 @@ class NetworkRoute(HoldsAddresses):
         packed: weights as the engine reads them.
         address: of the packed weights, for the engine.
         functions: of the engine at this level, for which the weights are packed.
+        weights: as they were given.
         states: number of entries of a state.
 
     Raises:
@@ -50,7 +51,7 @@ class NetworkRoute(HoldsAddresses):
         self, weights: NetworkWeights, threads: Callable[[], int] | None = None, level: str | None = None
     ) -> None:
         self.functions, self._threads = engine(level), threads or allowed_threads
-        self._weights = weights
+        self.weights = weights
         lanes = self.functions.network_lanes()
         self.name, self.packed = f"vectors of {lanes}", pack_network(weights, lanes)
         self.address = self.packed.ctypes.data
@@ -61,7 +62,7 @@ class NetworkRoute(HoldsAddresses):
     def at_best_level(self) -> NetworkRoute:
         """The network packed for the best level of this processor."""
         best = engine().network_lanes() == self.functions.network_lanes()
-        return self if best else NetworkRoute(self._weights, self._threads)
+        return self if best else NetworkRoute(self.weights, self._threads)
 
     def advance(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         """Angles (K,) [deg] along the plan (K,) [command unit] and the state behind it."""

@@ -17,7 +17,7 @@ from hystmpc.trials.types import Vec
 from ..chain import Chain, split
 from ..connections import operators_of, rest_of
 from ..contract.metadata import ModelMetadata
-from ..fronts import EnginePredictor, pair_part
+from ..fronts import EnginePredictor, pair_part, pair_rest
 from ..inverse.drive import Drive, DrivenInverse
 from ..inverse.inverses import (
     AccompaniedPredictor,
@@ -227,6 +227,10 @@ class SeriesPredictor(EnginePredictor):
     def part(self) -> Struct:
         return pair_part("SERIES", self._drive, self._predictor, self.state_size)
 
+    @property
+    def rest_part(self) -> Struct:
+        return pair_rest(self._drive, self._predictor)
+
     def initial(self, y: float, u: float) -> Vec:
         return np.concatenate([self._drive.initial(u, u), self._predictor.initial(y, u)])
 
@@ -250,6 +254,10 @@ class ParallelPredictor(EnginePredictor):
     @cached_property
     def part(self) -> Struct:
         return pair_part("PARALLEL", self.first, self.second, self.state_size)
+
+    @property
+    def rest_part(self) -> Struct:
+        return pair_rest(self.first, self.second)
 
     def initial(self, y: float, u: float) -> Vec:
         return np.concatenate([self.first.initial(y, u), self.second.initial(0.0, u)])

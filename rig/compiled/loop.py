@@ -13,11 +13,12 @@ from typing import Any, final
 import numpy as np
 
 from hystmpc.core.library import engine
-from hystmpc.core.structs import Struct, constants, fields_of, layout
+from hystmpc.core.structs import constants, layout
 from hystmpc.ctrl.answers import SOURCES, status_words
 from hystmpc.ctrl.command import EMPTY, Command, Timing, replace
 from hystmpc.ctrl.estimation.observer import ANGLE_BOUND_DEG
 from hystmpc.ctrl.guarded import GuardedController, GuardedState
+from hystmpc.ctrl.problem import written_in
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
@@ -44,12 +45,6 @@ _ENDINGS = {0: "not begun"} | {
     }.items()
 }
 # Structs with functions written in Python, which a loop in C cannot wait for.
-_WRITTEN = {
-    "hystmpc_control_law": "a law",
-    "hystmpc_planner": "a solver of quadratic programs",
-    "hystmpc_outside": "a model or an inverse",
-    "hystmpc_observer_outside": "an observer",
-}
 _WATCH_S = 0.002  # polling period of the samples done in C
 _BEHIND_S = 0.05  # greatest delay of Python
 _AHEAD_S, _MOST_AHEAD = 0.25, 2048  # extent of the known reference: time, samples beyond the preview
@@ -69,7 +64,7 @@ def compiled_loop(controller: GuardedController, spin_s: float = 0.0) -> Compile
     Raises:
         ConfigError: if a part of the controller is written in Python, or its preview is too long.
     """
-    if part := _written_in(controller.problem):
+    if part := written_in(controller.problem):
         raise ConfigError(
             f"realtime.backend c: got {part} written in Python, expected all of its parts to be the engine's; "
             "backend: python takes this one"
@@ -78,17 +73,6 @@ def compiled_loop(controller: GuardedController, spin_s: float = 0.0) -> Compile
         most = _REFERENCES - _MOST_AHEAD
         raise ConfigError(f"realtime.backend c: got a preview of {controller.horizon} samples, expected at most {most}")
     return CompiledLoop(controller, spin_s) if available() else None
-
-
-def _written_in(part: Struct) -> str:
-    """What of a controller is written in Python; empty if nothing."""
-    for field in fields_of(part.name):
-        value = part.fields.get(field.name)
-        if value is not None and field.arguments is not None:
-            return _WRITTEN.get(part.name, part.name)
-        if isinstance(value, Struct) and (found := _written_in(value)):
-            return found
-    return ""
 
 
 @final

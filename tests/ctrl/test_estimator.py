@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.ctrl.estimation.observer import Estimate, EstimatorSettings, OutputEstimator
+from hystmpc.ctrl.estimation.observer import EstimatorSettings
 from hystmpc.trials.errors import ConfigError, ControllerError
 
+from .observing import Seen, Watcher
 from .plays import DT, SOUND, Backlash, Case, Lag
 
 OPTIONS = EstimatorSettings(
@@ -25,7 +26,7 @@ OPTIONS = EstimatorSettings(
 def settled_gain(sensor: float, drift: float, dt: float) -> float:
     """Gain of the observer at rest with given sigmas, after many samples."""
     given = {"sensor_sigma_deg": sensor, "drift_sigma_deg_per_sqrt_s": drift, "motion_sigma_deg_per_sqrt_unit": 0.0}
-    estimator = OutputEstimator(Lag(dt=dt), EstimatorSettings(**given))
+    estimator = Watcher(Lag(dt=dt), EstimatorSettings(**given))
     estimate, prior = estimator.init(20.0, 0.0), 1.0
     for _ in range(3000):
         prior = estimate.variance
@@ -64,7 +65,7 @@ def test_the_error_of_the_estimate_has_the_predicted_variance() -> None:
         outlier_deg=1e3,
     )
     model, random = Lag(), np.random.default_rng(0)
-    estimator = OutputEstimator(model, options)
+    estimator = Watcher(model, options)
     estimate, state = estimator.init(20.0, 0.0), model.initial(20.0, 0.0)
     offset, u, squares = 0.0, 0.0, {True: [], False: []}
     angle, state = model.advance(state, 0.0)
@@ -87,7 +88,7 @@ def test_the_error_of_the_estimate_has_the_predicted_variance() -> None:
 def test_the_first_measurement_is_worth_one_measurement() -> None:
     """Angles at rest with a model that does not drift are averaged, the first one like the others."""
     still = OPTIONS.model_copy(update={"drift_sigma_deg_per_sqrt_s": 1e-9})
-    estimator, seen = OutputEstimator(Lag(), still), np.random.default_rng(0).normal(20.0, 0.15, 30)
+    estimator, seen = Watcher(Lag(), still), np.random.default_rng(0).normal(20.0, 0.15, 30)
     estimate = estimator.init(float(seen[0]), 0.0)
     for k, y in enumerate(seen, 1):  # a controller shows its observer the angle of the start once more
         estimate = estimator.correct(estimate, float(y))
@@ -99,7 +100,7 @@ def test_the_first_measurement_is_worth_one_measurement() -> None:
 @pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
 @pytest.mark.parametrize("delay", [0, 3])
 def test_disturbance_converges_to_a_constant_offset(case: Case, delay: int) -> None:
-    estimator = OutputEstimator(case.predictor, EstimatorSettings(delay_samples=delay))
+    estimator = Watcher(case.predictor, EstimatorSettings(delay_samples=delay))
     state, estimate = case.predictor.initial(case.y_rest, case.u_rest), estimator.init(case.y_rest, case.u_rest)
     y, under_way = case.y_rest, [case.u_rest] * delay
     for k in range(150):
@@ -113,14 +114,14 @@ def test_disturbance_converges_to_a_constant_offset(case: Case, delay: int) -> N
     assert estimate.disturbance == pytest.approx(2.5, abs=1e-3)
 
 
-def _in_the_dead_band(estimator: OutputEstimator) -> Estimate:
+def _in_the_dead_band(estimator: Watcher) -> Seen:
     model = Backlash()
     estimate = estimator.init(50.0, 50.0 / model.m_up - model.c_up)
     return estimator.advance(estimate, estimate.command - 0.1)
 
 
 def test_disturbance_rests_while_the_model_crosses_its_dead_band() -> None:
-    estimator = OutputEstimator(Backlash(), OPTIONS)
+    estimator = Watcher(Backlash(), OPTIONS)
     estimate = _in_the_dead_band(estimator)
     assert estimate.angles[0] == pytest.approx(50.0)
     assert estimator.correct(estimate, 47.0).disturbance == estimate.disturbance
@@ -130,7 +131,7 @@ def test_disturbance_rests_while_the_model_crosses_its_dead_band() -> None:
 
 @pytest.mark.parametrize("y", [math.nan, math.inf, 1e300, 80.0])
 def test_missing_and_outlying_measurements_leave_the_prediction(y: float) -> None:
-    estimator = OutputEstimator(Lag(), OPTIONS)
+    estimator = Watcher(Lag(), OPTIONS)
     estimate = estimator.init(20.0, 0.0)
     corrected = estimator.correct(estimator.correct(estimate, y), y)
     assert (corrected.disturbance, corrected.missing) == (estimate.disturbance, 2)
@@ -139,7 +140,7 @@ def test_missing_and_outlying_measurements_leave_the_prediction(y: float) -> Non
 
 def test_an_angle_near_the_last_one_is_no_outlier_however_far_the_model_has_gone() -> None:
     """A device that stands still while its model goes 40 deg: the disturbance has to find that out."""
-    estimator = OutputEstimator(Lag(), OPTIONS)
+    estimator = Watcher(Lag(), OPTIONS)
     estimate = estimator.init(20.0, 0.0)
     for _ in range(60):
         estimate = estimator.correct(estimator.advance(estimate, 6.0), 20.0)
@@ -150,7 +151,7 @@ def test_an_angle_near_the_last_one_is_no_outlier_however_far_the_model_has_gone
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_disturbance_is_bounded(side: float) -> None:
-    estimator = OutputEstimator(Lag(), EstimatorSettings(disturbance_limit_deg=3.0))
+    estimator = Watcher(Lag(), EstimatorSettings(disturbance_limit_deg=3.0))
     estimate = estimator.init(20.0, 0.0)
     for _ in range(200):
         estimate = estimator.advance(estimator.correct(estimate, 20.0 + estimate.disturbance + 10.0 * side), 0.0)
@@ -165,18 +166,16 @@ def test_a_model_that_answers_no_number_is_not_advanced(
     angle: float, state: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One such state would stay in the estimate for ever."""
-    estimator = OutputEstimator(Lag(), OPTIONS)
+    estimator = Watcher(Lag(), OPTIONS)
     estimate = estimator.init(20.0, 0.0)
     monkeypatch.setattr(Lag, "advance", lambda self, before, u: (angle, np.full_like(before, state)))
-    with pytest.raises(ArithmeticError, match="the model answers"):
-        estimator.advance(estimate, 1.0)
-    coasted = estimator.coast(estimate, 1.0)
+    coasted = estimator.advance(estimate, 1.0)
     assert (coasted.stalled, coasted.command) == (1, 1.0)
     assert np.isfinite(coasted.state).all()
 
 
 def test_what_the_model_cannot_explain_at_rest_is_the_first_disturbance() -> None:
-    estimator = OutputEstimator(Backlash(), OPTIONS)
+    estimator = Watcher(Backlash(), OPTIONS)
     estimate = estimator.init(40.0, 0.0)  # the unloading line gives 28.98 deg
     assert estimate.angles[0] + estimate.disturbance == pytest.approx(40.0)
     with pytest.raises(ControllerError, match=r"got 80 deg at rest with command 0, the model expects 28\.98"):

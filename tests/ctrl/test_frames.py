@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 
 from hystmpc.ctrl import Source
 from hystmpc.ctrl.config import parse_controller
-from hystmpc.ctrl.estimation.observer import Estimate, EstimatorSettings, Observer
+from hystmpc.ctrl.estimation.observer import EstimatorSettings
 from hystmpc.trials.errors import ConfigError, ControllerError
 from hystmpc.trials.types import Vec
 
+from .observing import Seen, Watcher
 from .plays import PLAY, SOUND, Case
 from .test_tip_controller import controller_for, plant_for
 
@@ -23,11 +24,11 @@ FRAMES = {"estimator": {"sensor": "intermittent"}}
 COUNT = 24
 
 
-def observer(**changes: Any) -> Observer:
-    return EstimatorSettings.parse({"sensor": "intermittent", **changes}, "estimator").observer(PLAY.predictor)
+def observer(**changes: Any) -> Watcher:
+    return Watcher(PLAY.predictor, EstimatorSettings.parse({"sensor": "intermittent", **changes}, "estimator"))
 
 
-def led(found: Observer, angles: dict[int, float], late: dict[int, int]) -> Estimate:
+def led(found: Watcher, angles: dict[int, float], late: dict[int, int]) -> Seen:
     """After COUNT samples of one motion; the angle of instant k is shown `late[k]` samples afterwards."""
     commands = PLAY.u_rest + 1.5 * (1.0 - np.cos(np.linspace(0.0, 5.0, COUNT)))
     estimate = found.init(PLAY.y_rest, PLAY.u_rest)

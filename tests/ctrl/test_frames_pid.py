@@ -13,13 +13,22 @@ from hypothesis import strategies as st
 
 from hystmpc.ctrl import Source
 from hystmpc.ctrl.config import CONTROLLERS, parse_controller
-from hystmpc.ctrl.estimation.observer import LastMeasurement
+from hystmpc.ctrl.estimation.observer import SensorKindSettings
 from hystmpc.trials.errors import ConfigError, ControllerError
 
+from .observing import Watcher
 from .plays import PLAY, SOUND, Case
 from .test_tip_controller import LIMITS, controller_for, plant_for
 
 FRAMES = {"estimator": {"sensor": "intermittent"}}
+
+
+def newest(oldest: int) -> Watcher:
+    """The newest measurement, frames being used up to an age of so many samples."""
+    asked = SensorKindSettings(sensor="intermittent", oldest_frame_s=oldest * PLAY.predictor.dt)
+    return Watcher(PLAY.predictor, asked)
+
+
 kinds = pytest.mark.parametrize("kind", ["pid", "inverse_pid"])
 any_float = st.floats(allow_nan=True, allow_infinity=True)
 
@@ -30,7 +39,7 @@ any_float = st.floats(allow_nan=True, allow_infinity=True)
     st.randoms(),
 )
 def test_the_frame_taken_last_counts_whatever_their_order_of_arrival(frames: dict[float, float], mixed: Any) -> None:
-    found, arrivals = LastMeasurement(25), list(frames)
+    found, arrivals = newest(25), list(frames)
     mixed.shuffle(arrivals)
     estimate = found.init(PLAY.y_rest, PLAY.u_rest)
     for _ in range(20):
@@ -44,7 +53,7 @@ def test_the_frame_taken_last_counts_whatever_their_order_of_arrival(frames: dic
 
 @pytest.mark.parametrize(("y", "age"), [(math.nan, 1.0), (math.inf, 1.0), (40.0, -0.5), (40.0, 4.5), (40.0, math.nan)])
 def test_what_cannot_be_used_is_refused(y: float, age: float) -> None:
-    found = LastMeasurement(4)
+    found = newest(4)
     with pytest.raises(ControllerError, match="expected a finite angle of the last 4"):
         found.correct_late(found.init(PLAY.y_rest, PLAY.u_rest), y, age)
 

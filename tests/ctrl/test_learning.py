@@ -14,7 +14,7 @@ from hystmpc.core.library import engine
 from hystmpc.ctrl.build import build_controller, learning_pair
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.config import CONTROLLERS
-from hystmpc.ctrl.estimation.observer import Estimate, EstimatorSettings
+from hystmpc.ctrl.estimation.observer import EstimatorSettings
 from hystmpc.ctrl.learning.bank import (
     DELAYS,
     DRIVES,
@@ -28,11 +28,12 @@ from hystmpc.ctrl.learning.bank import (
     FilterBank,
     Learner,
 )
-from hystmpc.ctrl.learning.predictor import LearnedInverse, LearnedPredictor, Learning, LearningEstimator
+from hystmpc.ctrl.learning.predictor import LearnedInverse, LearnedPredictor
 from hystmpc.ctrl.mpc_settings import AdaptationSettings
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
+from .observing import Seen, Watcher
 from .plays import DT, SOUND, Backlash, with_entries
 
 LIMITS = CommandLimits(0.0, 6.0, 10.0)
@@ -174,7 +175,7 @@ def recorded(device: Device, seconds: float = 14.0) -> tuple[Vec, Vec]:
     return commands, np.array(angles)
 
 
-def after(estimator: LearningEstimator, commands: Vec, angles: Vec) -> Estimate:
+def after(estimator: Watcher, commands: Vec, angles: Vec) -> Seen:
     estimate = estimator.init(float(angles[0]), float(commands[0]))
     for u, y in zip(commands.tolist(), angles.tolist(), strict=True):
         estimate = estimator.advance(estimator.correct(estimate, y), u)
@@ -186,11 +187,10 @@ def test_a_changed_device_is_foretold_after_two_flexures(name: str) -> None:
     """A second of motion that was never seen: an error below half of the model's."""
     device = Device(*CHANGED[name])
     predictor = learned()
-    estimate = after(LearningEstimator(predictor, OPTIONS), *recorded(device))
-    assert isinstance(estimate.learning, Learning)
+    estimate = after(Watcher(predictor, OPTIONS), *recorded(device))
     plan = float(estimate.command) + np.cumsum(np.concatenate([np.full(12, 0.12), np.full(13, -0.1)]))
     foretold = predictor.rollout(estimate.state, plan[None])[0] + estimate.disturbance
-    model = estimate.learning.model
+    model = estimate.model
     alone = Backlash().rollout(model.state, plan[None])[0] + model.disturbance
     device.random = np.random.default_rng(9)
     truth = []
@@ -199,24 +199,23 @@ def test_a_changed_device_is_foretold_after_two_flexures(name: str) -> None:
         truth.append(device.true_deg)
     learned_error, own_error = (float(np.sqrt(np.mean((found - truth) ** 2))) for found in (foretold, alone))
     assert learned_error < 0.5 * own_error
-    assert estimate.learning.bank.share == 1.0
+    assert estimate.learned.share == 1.0
     assert estimate.forecast_error < 0.4
 
 
 def test_a_delay_that_is_told_is_not_learned_again() -> None:
     """The angles on their way have the learned part, and are nearer to what is measured then than the model's."""
     delay, device = 3, Device(10.3, 1.2, 0.0, 3)
-    estimator = LearningEstimator(learned(), OPTIONS.model_copy(update={"delay_samples": delay}))
+    estimator = Watcher(learned(), OPTIONS.model_copy(update={"delay_samples": delay}))
     commands, angles = recorded(device)
     estimate, foretold, alone = estimator.init(float(angles[0]), 0.0), [], []
     for u, y in zip(commands.tolist(), angles.tolist(), strict=True):
         estimate = estimator.advance(estimator.correct(estimate, y), u)
-        assert isinstance(estimate.learning, Learning)
-        model = estimate.learning.model
+        model = estimate.model
         foretold.append(estimate.angles[-1] + estimate.disturbance)
         alone.append(model.angles[-1] + model.disturbance)
-    assert estimate.learning.bank.share == 1.0
-    assert estimate.learning.bank.delay == 0
+    assert estimate.learned.share == 1.0
+    assert estimate.learned.delay == 0
     ahead, sine = delay + 1, slice(240, -delay - 1)
     errors = [np.array(found)[sine] - angles[240 + ahead :] for found in (foretold, alone)]
     assert np.mean(errors[0] ** 2) < 0.25 * np.mean(errors[1] ** 2)
@@ -224,7 +223,7 @@ def test_a_delay_that_is_told_is_not_learned_again() -> None:
 
 def test_a_measurement_never_moves_the_angle_of_now_away_from_itself() -> None:
     """Also not where weights and share change: the disturbance takes up the difference."""
-    estimator, shares = LearningEstimator(learned(), OPTIONS), set()
+    estimator, shares = Watcher(learned(), OPTIONS), set()
     commands, angles = recorded(Device(*CHANGED["all of it"]))
     estimate = estimator.init(float(angles[0]), float(commands[0]))
     for u, y in zip(commands.tolist(), angles.tolist(), strict=True):
@@ -232,8 +231,7 @@ def test_a_measurement_never_moves_the_angle_of_now_away_from_itself() -> None:
         estimate = estimator.correct(estimate, y)
         now = estimate.angles[0] + estimate.disturbance
         assert min(before, y) - 1e-9 <= now <= max(before, y) + 1e-9
-        assert isinstance(estimate.learning, Learning)
-        shares.add(estimate.learning.bank.share)
+        shares.add(estimate.learned.share)
         estimate = estimator.advance(estimate, u)
     assert {0.0, 1.0} <= shares
 
@@ -241,14 +239,13 @@ def test_a_measurement_never_moves_the_angle_of_now_away_from_itself() -> None:
 def test_where_the_model_is_right_nothing_acts() -> None:
     """The device is the model, with noise: the learned part keeps silent, and the estimate is the model's own."""
     model, random = Backlash(), np.random.default_rng(4)
-    state, estimator = model.initial(28.98, 0.0), LearningEstimator(learned(), OPTIONS)
+    state, estimator = model.initial(28.98, 0.0), Watcher(learned(), OPTIONS)
     commands, _ = recorded(Device(10.0, 0.4, 0.0, 0))
     y, shares, estimate = 28.98, [], estimator.init(28.98, 0.0)
     for u in commands.tolist():
         estimate = estimator.advance(estimator.correct(estimate, y + 0.1 * random.standard_normal()), u)
         y, state = model.advance(state, u)
-        assert isinstance(estimate.learning, Learning)
-        shares.append(estimate.learning.bank.share)
+        shares.append(estimate.learned.share)
     assert np.mean(shares) < 0.05
     assert estimate.forecast_error < 0.3
 
@@ -325,14 +322,13 @@ def test_a_hold_is_not_judged() -> None:
 )
 @settings(max_examples=30, deadline=None)
 def test_any_measurements_leave_everything_finite(seen: list[tuple[float, float]], delay: int) -> None:
-    estimator = LearningEstimator(learned(), OPTIONS.model_copy(update={"delay_samples": delay}))
+    estimator = Watcher(learned(), OPTIONS.model_copy(update={"delay_samples": delay}))
     estimate = estimator.init(30.0, 1.0)
     for y, u in seen:
         estimate = estimator.advance(estimator.correct(estimate, y), u)
-        assert isinstance(estimate.learning, Learning)
-        assert np.isfinite(estimate.learning.bank.z).all()
-        assert np.all(np.diagonal(full(estimate.learning.bank.covariance), axis1=1, axis2=2) > 0)
-        assert 0.0 <= estimate.learning.bank.share <= 1.0
+        assert np.isfinite(estimate.learned.z).all()
+        assert np.all(np.diagonal(full(estimate.learned.covariance), axis1=1, axis2=2) > 0)
+        assert 0.0 <= estimate.learned.share <= 1.0
         assert 0.0 <= estimate.forecast_error <= 1.2
         assert math.isfinite(estimate.departure)
         assert np.isfinite(estimate.state).all()
@@ -373,7 +369,7 @@ def test_covariances_stay_sound_over_a_long_run() -> None:
 
 @pytest.mark.parametrize("y", [math.nan, math.inf, 1e9])
 def test_nonsense_is_missing(y: float) -> None:
-    estimator = LearningEstimator(learned(), OPTIONS.model_copy(update={"delay_samples": 2}))
+    estimator = Watcher(learned(), OPTIONS.model_copy(update={"delay_samples": 2}))
     estimate = estimator.advance(estimator.init(30.0, 1.0), 1.2)
     after = estimator.correct(estimate, y)
     assert after.missing == 1
@@ -381,7 +377,7 @@ def test_nonsense_is_missing(y: float) -> None:
 
 
 def test_a_jump_is_an_outlier_at_rest_and_none_behind_a_fast_command() -> None:
-    estimator = LearningEstimator(learned(), OPTIONS)
+    estimator = Watcher(learned(), OPTIONS)
     rest = estimator.init(30.0, 1.0)
     for _ in range(10):
         rest = estimator.advance(estimator.correct(rest, 30.0), 1.0)

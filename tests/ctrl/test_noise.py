@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,19 +10,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.ctrl.estimation.noise import NoiseBank
-from hystmpc.ctrl.estimation.observer import Estimate, EstimatorSettings, Observer, OutputEstimator
-from hystmpc.ctrl.learning.predictor import LearnedPredictor, LearningEstimator
+from hystmpc.ctrl.estimation.observer import EstimatorSettings
+from hystmpc.ctrl.learning.predictor import LearnedPredictor
 from hystmpc.ctrl.mpc_settings import AdaptationSettings
 from hystmpc.models.contract.metadata import NoiseModel
 from hystmpc.trials.types import Vec
 
+from .observing import Seen, Watcher
 from .plays import DT, SOUND, Backlash, Case, Lag
 
 AUTO = EstimatorSettings()
 RANGE = math.sqrt(6.0)  # of the commands of all models here [mm], under the root
 
 
-def sigmas(estimator: OutputEstimator, estimate: Estimate) -> tuple[float, float, float]:
+def sigmas(estimator: Watcher, estimate: Seen) -> tuple[float, float, float]:
     found = estimator.bank.estimated_noise(estimate.bank)
     return found.sensor_sigma_deg, found.drift_sigma_deg_per_sqrt_s, found.motion_sigma_deg_per_sqrt_unit
 
@@ -36,7 +36,7 @@ def walk(seconds: float, sensor: float, drift: float, motion: float, seed: int =
     return np.cumsum(moves), np.cumsum(steps) + sensor * random.standard_normal(count)
 
 
-def run(estimator: Observer, commands: Vec, offsets: Vec) -> list[Estimate]:
+def run(estimator: Watcher, commands: Vec, offsets: Vec) -> list[Seen]:
     """The estimates at the ends of the samples, on a device that is the model but for the offsets."""
     estimate, found = estimator.init(20.0, 0.0), []
     for u, offset in zip(commands, offsets, strict=True):
@@ -51,7 +51,7 @@ def run(estimator: Observer, commands: Vec, offsets: Vec) -> list[Estimate]:
 )
 def test_unknown_noises_are_found(sensor: float, drift: float, motion: float) -> None:
     """After half a minute: the sensor's within a quarter, the others in the right place of the grid."""
-    estimator = OutputEstimator(Lag(), AUTO)
+    estimator = Watcher(Lag(), AUTO)
     found = sigmas(estimator, run(estimator, *walk(30.0, sensor, drift, motion))[-1])
     assert found[0] == pytest.approx(sensor, rel=0.25)
     assert abs(math.log(found[1] / max(drift, 0.01))) < math.log(4.0)
@@ -69,7 +69,7 @@ def test_a_sensor_other_than_the_file_says_costs_less_than_a_tenth(factor: float
     errors = []
     for options in (AUTO, EstimatorSettings(sensor_sigma_deg=0.15)):
         # the same walk under both: the random numbers of walk and sensor are drawn one after another
-        estimates = run(OutputEstimator(model, options), commands, offsets)
+        estimates = run(Watcher(model, options), commands, offsets)
         errors.append(np.sqrt(np.mean([(e.disturbance - d) ** 2 for e, d in zip(estimates, clean, strict=True)])))
     assert errors[0] < 1.1 * errors[1]
 
@@ -77,7 +77,7 @@ def test_a_sensor_other_than_the_file_says_costs_less_than_a_tenth(factor: float
 def test_a_model_that_turns_out_wrong_is_found_within_a_second_of_motion() -> None:
     """Ten seconds in which the model is right, then an error of 2 deg/mm: the estimate follows, most of it at once."""
     model, random = Lag(), np.random.default_rng(2)
-    estimator = OutputEstimator(model, AUTO)
+    estimator = Watcher(model, AUTO)
     commands = np.concatenate([np.linspace(0.0, 3.0, 125), np.linspace(3.0, 0.0, 125), np.linspace(0.0, 3.0, 125)])
     wrong = np.where(np.arange(375) < 250, 0.0, 2.0 * commands)
     estimates = run(estimator, commands, wrong + 0.05 * random.standard_normal(375))
@@ -92,21 +92,22 @@ def test_a_model_that_turns_out_wrong_is_found_within_a_second_of_motion() -> No
 @settings(max_examples=20, deadline=None)
 def test_a_bank_takes_half_of_what_it_sees_at_most(step: float, seed: int) -> None:
     """However wrong the model has been; a single filter takes what its sigmas say."""
-    estimator = OutputEstimator(Lag(), AUTO)
+    estimator = Watcher(Lag(), AUTO)
     before = run(estimator, *walk(3.0, 0.02, 2.0, 2.0, seed))[-1]
     before = estimator.advance(before, before.command)
-    before = replace(before, bank=np.vstack([np.full(before.bank.shape[1], before.disturbance), before.bank[1:]]))
+    before = before.copy()
+    before.bank[0] = before.disturbance
     after = estimator.correct(before, before.angles[0] + before.disturbance + step)
     assert abs(after.disturbance - before.disturbance) <= 0.5 * abs(step) + 1e-9
     given = EstimatorSettings(sensor_sigma_deg=0.01, drift_sigma_deg_per_sqrt_s=2.0, motion_sigma_deg_per_sqrt_unit=0.0)
-    single = OutputEstimator(Lag(), given)
+    single = Watcher(Lag(), given)
     rest = single.advance(run(single, *walk(3.0, 0.0, 0.0, 0.0))[-1], 0.0)
     moved = single.correct(rest, rest.angles[0] + 1.0).disturbance - rest.disturbance
     assert moved > 0.9
 
 
 def test_one_spike_says_little() -> None:
-    estimator = OutputEstimator(Lag(), AUTO)
+    estimator = Watcher(Lag(), AUTO)
     commands, offsets = walk(20.0, 0.1, 0.02, 0.05)
     plain = run(estimator, commands, offsets)[-1]
     offsets[-25] += 10.0
@@ -122,7 +123,7 @@ def test_given_sigmas_are_used_exactly(sensor: float, drift: float, motion: floa
     options = EstimatorSettings(
         sensor_sigma_deg=sensor, drift_sigma_deg_per_sqrt_s=drift, motion_sigma_deg_per_sqrt_unit=motion
     )
-    estimator = OutputEstimator(Lag(), options)
+    estimator = Watcher(Lag(), options)
     commands, offsets = walk(2.0, sensor, drift, motion, seed)
     d, p, before = 0.0, estimator.init(20.0, 0.0).variance, 0.0
     for u, offset, estimate in zip(commands, offsets, run(estimator, commands, offsets), strict=True):
@@ -135,7 +136,7 @@ def test_given_sigmas_are_used_exactly(sensor: float, drift: float, motion: floa
 
 
 def test_one_given_sigma_is_kept_and_the_others_are_found() -> None:
-    estimator = OutputEstimator(Lag(), EstimatorSettings(drift_sigma_deg_per_sqrt_s=0.07))
+    estimator = Watcher(Lag(), EstimatorSettings(drift_sigma_deg_per_sqrt_s=0.07))
     estimates = run(estimator, *walk(20.0, 0.3, 0.0, 0.3))
     assert {round(sigmas(estimator, estimate)[1], 12) for estimate in estimates} == {0.07}
     assert sigmas(estimator, estimates[-1])[0] == pytest.approx(0.3, rel=0.3)
@@ -155,11 +156,11 @@ anything = st.one_of(
 def test_any_measurement_leaves_the_estimate_finite_and_the_sigmas_in_bounds(
     case: Case, learns: bool, seen: list[tuple[float, float]]
 ) -> None:
-    estimator: Observer
+    estimator: Watcher
     if learns:
-        estimator = LearningEstimator(LearnedPredictor(case.predictor, AdaptationSettings()), AUTO)
+        estimator = Watcher(LearnedPredictor(case.predictor, AdaptationSettings()), AUTO)
     else:
-        estimator = OutputEstimator(case.predictor, EstimatorSettings(delay_samples=1))
+        estimator = Watcher(case.predictor, EstimatorSettings(delay_samples=1))
     bank = NoiseBank((None, None, None), case.predictor, AUTO.disturbance_limit_deg)
     estimate = estimator.init(case.y_rest, case.u_rest)
     for y, u in seen:
@@ -180,7 +181,7 @@ def test_any_measurement_leaves_the_estimate_finite_and_the_sigmas_in_bounds(
 def test_an_estimate_is_a_snapshot(learns: bool) -> None:
     """From a stored estimate the future is the same to the last bit, whatever has been done in between."""
     predictor = LearnedPredictor(Backlash(), AdaptationSettings())
-    estimator = LearningEstimator(predictor, AUTO) if learns else OutputEstimator(Backlash(), AUTO)
+    estimator = Watcher(predictor, AUTO) if learns else Watcher(Backlash(), AUTO)
     commands, offsets = walk(4.0, 0.15, 0.1, 0.5)
     stored = run(estimator, 1.0 + np.abs(commands), offsets)[-1]
     bank = stored.bank.copy()
@@ -197,6 +198,6 @@ def test_an_estimate_is_a_snapshot(learns: bool) -> None:
 def test_what_the_file_says_is_where_the_bank_begins() -> None:
     noise = NoiseModel(sensor_sigma_deg=0.4, drift_sigma_deg_per_sqrt_s=0.3, motion_sigma_deg_per_sqrt_unit=0.6)
     told, plain = type("Told", (Lag,), {"noise": noise})(), Lag()
-    starts = [sigmas(e, e.init(20.0, 0.0)) for e in (OutputEstimator(told, AUTO), OutputEstimator(plain, AUTO))]
+    starts = [sigmas(e, e.init(20.0, 0.0)) for e in (Watcher(told, AUTO), Watcher(plain, AUTO))]
     assert starts[0] == pytest.approx((0.4, 0.3, 0.6), rel=0.35)
     assert all(a > 1.5 * b for a, b in zip(*starts, strict=True))

@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 
 from hystmpc.ctrl import Source
 from hystmpc.ctrl.config import parse_controller
-from hystmpc.ctrl.estimation.observer import EstimatorSettings, ModelAlone
+from hystmpc.ctrl.estimation.observer import EstimatorSettings
 from hystmpc.trials.errors import ConfigError
 
+from .observing import Watcher
 from .plays import PLAY, SOUND, Case
 from .test_tip_controller import LIMITS, controller_for, plant_for
 
@@ -88,7 +89,7 @@ def test_it_says_how_far_the_model_may_be_off_where_the_file_does() -> None:
     for said in (math.nan, 0.25):
         predictor = copy(PLAY.predictor)
         object.__setattr__(predictor, "model_sigma_deg", said)  # the tests' models are frozen
-        alone = ModelAlone(predictor, EstimatorSettings(sensor="none"))
+        alone = Watcher(predictor, EstimatorSettings(sensor="none"))
         assert alone.sigma_deg(alone.init(PLAY.y_rest, PLAY.u_rest)) == pytest.approx(said, nan_ok=True)
 
 

@@ -1,0 +1,47 @@
+/* Functions of hystmpc.h around the engine's controller, on one struct: what is remembered, then room for a call. */
+#include "hystmpc.h"
+
+unsigned long hystmpc_memory_bytes(void) { return (unsigned long)sizeof(hystmpc_controller); }
+
+/* Bytes that are remembered, and that a call takes at most. */
+static long exported_memory(void) { return hystmpc_bytes_of_memory(&exported_problem); }
+
+static long exported_room(void) {
+    const hystmpc_model *m = exported_problem.model;
+    const long states = m ? room_for(m->predictor->states) + ROOM_LINE : 0;
+    const long at_rest = m ? hystmpc_at_rest_bytes(exported_rest, m->predictor) : 0;
+    return states + longer(at_rest, hystmpc_room_bytes(&exported_problem));
+}
+
+static char *memory_of(hystmpc_controller *c) { return (char *)c->memory.bytes; }
+static char *room_of(hystmpc_controller *c) { return (char *)c->memory.bytes + HYSTMPC_REMEMBERED; }
+
+int hystmpc_init(hystmpc_controller *c, hystmpc_real angle_deg, hystmpc_real command) {
+    const hystmpc_model *m = exported_problem.model;
+    char *room = room_begin(room_of(c));
+    real *x = m ? room_take(&room, m->predictor->states) : NULL;
+    if (m) hystmpc_at_rest(exported_rest, m->predictor, angle_deg, command, x, room);
+    return hystmpc_controller_init(&exported_problem, memory_of(c), x, angle_deg, command, room);
+}
+
+hystmpc_command hystmpc_step(hystmpc_controller *c, hystmpc_real angle_deg, const hystmpc_real *reference) {
+    hystmpc_command answer;
+    hystmpc_controller_step(&exported_problem, memory_of(c), angle_deg, reference, &answer, NULL, room_of(c));
+    return answer;
+}
+
+void hystmpc_set_target(hystmpc_controller *c, hystmpc_real angle_deg) {
+    hystmpc_controller_target(&exported_problem, memory_of(c), angle_deg);
+}
+
+int hystmpc_measure(hystmpc_controller *c, hystmpc_real angle_deg, hystmpc_real age) {
+    return hystmpc_controller_measure(&exported_problem, memory_of(c), angle_deg, age, room_of(c));
+}
+
+int hystmpc_look_on(hystmpc_controller *c, hystmpc_real angle_deg, hystmpc_real command) {
+    return hystmpc_controller_look_on(&exported_problem, memory_of(c), angle_deg, command, room_of(c));
+}
+
+void hystmpc_hurry(hystmpc_controller *c) { hystmpc_controller_hurry(&exported_problem, memory_of(c)); }
+
+void hystmpc_stop(hystmpc_controller *c) { hystmpc_controller_stop(&exported_problem, memory_of(c)); }
