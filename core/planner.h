@@ -1,4 +1,4 @@
-/* Planners: a start plan improved by linearisation and a quadratic program, or by random plans. A plan found never costs
+/* Planners: a start plan improved by linearisation and a quadratic program, or by random plans. The result never costs
  * more than the start plan. */
 #ifndef HYSTMPC_PLANNER_H
 #define HYSTMPC_PLANNER_H

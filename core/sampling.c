@@ -12,8 +12,6 @@
 static const real SAMPLING_SMALL = R(1e-12); /* squared distance from the start below which a sample is not used */
 static const real SAMPLING_RIDGE = R(1e-6);  /* of the fit, as a share of its normal matrix's trace */
 
-enum { SAMPLING_PARTS = 5 };
-
 static real sampling_product(const real *a, const real *b, int count) {
     real total = R(0.0);
     for (int k = 0; k < count; k++) total += a[k] * b[k];
@@ -35,9 +33,9 @@ void hystmpc_make_orthogonal(int count, int size, real *normals, real *squares) 
     }
 }
 
-void hystmpc_draw_plans(int count, int size, int samples, real *normals, const real *shape, const real *mean,
-                        const real *deviations, int along, real lower, real upper, real reach, real last,
-                        real *plans) {
+HYSTMPC_LOCAL void hystmpc_draw_plans(int count, int size, int samples, real *normals, const real *shape,
+                                      const real *mean, const real *deviations, int along, real lower, real upper,
+                                      real reach, real last, real *plans) {
     hystmpc_make_orthogonal(count, size, normals, plans); /* which are not written yet */
     for (int n = 0; n < count; n++) {
         real *const plan = plans + n * samples;
@@ -96,25 +94,6 @@ void hystmpc_fit_columns(int count, int samples, int size, const real *plans, co
     }
 }
 
-int hystmpc_sampled_steps(const void *law, const void *task, int count, const real *plans, const real *angles,
-                          const real *whitening, const real *commands, const real *start, int changes,
-                          void *room, real *parts) {
-    static const real shares[SAMPLING_PARTS] = {R(1.0), R(0.6), R(0.35), R(0.2), R(0.1)};
-    const hystmpc_law *const l = law;
-    const hystmpc_task t = hystmpc_task_of(l, task);
-    const int samples = l->horizon;
-    hystmpc_qp q;
-    real *const columns = hystmpc_place_program(l, room, &q), *const behind = columns + samples * l->moves;
-    hystmpc_fit_columns(count, samples, l->moves, plans, angles, commands, start, l->ends, whitening, behind, columns);
-    hystmpc_build_program(&q, l, &t, commands, start, columns);
-    const int answer = hystmpc_solve_qp(&q, changes);
-    if (answer < 0) return answer;
-    hystmpc_deviation(l, q.primal, behind);
-    for (int i = 0; i < SAMPLING_PARTS; i++)
-        for (int k = 0; k < samples; k++) parts[i * samples + k] = commands[k] + shares[i] * behind[k];
-    return answer;
-}
-
 /* The middle one of all numbers, or the mean of both that are; they are sorted on the way (Shell, 1959). */
 static real sampling_median(real *values, int count) {
     int gap = 1;
@@ -130,8 +109,8 @@ static real sampling_median(real *values, int count) {
     return count % 2 ? values[count / 2] : R(0.5) * (values[count / 2 - 1] + values[count / 2]);
 }
 
-void hystmpc_weighted_mean(int count, int samples, const real *plans, const real *costs, real temperature,
-                           void *room, real *mean) {
+HYSTMPC_LOCAL void hystmpc_weighted_mean(int count, int samples, const real *plans, const real *costs,
+                                         real temperature, real *room, real *mean) {
     real lowest = INFINITE, total = R(0.0);
     for (int n = 0; n < count; n++) lowest = least(lowest, costs[n]);
     copy(costs, room, count);

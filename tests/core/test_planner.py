@@ -247,14 +247,14 @@ def test_a_plan_is_admissible_and_never_costs_more_than_the_start(
 ) -> None:
     kind, soft, blocked = PLANNERS[name]
     problem = posed(model, seed)
-    found = improve(planner_of(kind, soft, blocked, iterations), problem, soft=soft)
-    assert found.answer == (kind == "SOLVED")
-    assert found.cost <= problem.cost(problem.start, soft)
-    assert found.cost == pytest.approx(problem.cost(found.plan, soft), rel=1e-12)
-    np.testing.assert_array_equal(found.angles, model(problem.state, found.plan)[0])
-    assert np.all((found.plan >= LOWER) & (found.plan <= UPPER))
-    assert np.all(np.abs(np.diff(found.plan, prepend=problem.u_last)) <= REACH + 1e-12)
-    assert found.draws == 3 + (kind in RANDOM)
+    result = improve(planner_of(kind, soft, blocked, iterations), problem, soft=soft)
+    assert result.answer == (kind == "SOLVED")
+    assert result.cost <= problem.cost(problem.start, soft)
+    assert result.cost == pytest.approx(problem.cost(result.plan, soft), rel=1e-12)
+    np.testing.assert_array_equal(result.angles, model(problem.state, result.plan)[0])
+    assert np.all((result.plan >= LOWER) & (result.plan <= UPPER))
+    assert np.all(np.abs(np.diff(result.plan, prepend=problem.u_last)) <= REACH + 1e-12)
+    assert result.draws == 3 + (kind in RANDOM)
 
 
 @every_planner
@@ -309,9 +309,9 @@ def test_a_model_that_fails_leaves_plan_and_draws_as_they_were(name: str) -> Non
     kind, soft, blocked = PLANNERS[name]
     problem = posed(straight, 1)
     for model, answer in ((failing, NO_ANSWER), (not_a_number, NO_SAMPLE if kind in RANDOM else NO_JACOBIAN)):
-        found = improve(planner_of(kind, soft, blocked), problem, engine_model=model_of(model), soft=soft)
-        assert (found.answer, found.draws) == (answer, 3)
-        np.testing.assert_array_equal(found.plan, problem.start)
+        result = improve(planner_of(kind, soft, blocked), problem, engine_model=model_of(model), soft=soft)
+        assert (result.answer, result.draws) == (answer, 3)
+        np.testing.assert_array_equal(result.plan, problem.start)
 
 
 @every_model
@@ -325,6 +325,6 @@ def test_hostile_numbers_are_survived(name: str, model: Model, value: float, whe
     problem = posed(model, 2)
     hostile = value if where == "u_last" else np.array([value])
     with np.errstate(all="ignore"):
-        found = improve(planner_of(kind, soft, blocked), problem, soft=soft, **{where: hostile})
-    assert found.answer <= 0
-    assert found.cost <= problem.cost(problem.start, soft)
+        result = improve(planner_of(kind, soft, blocked), problem, soft=soft, **{where: hostile})
+    assert result.answer <= 0
+    assert result.cost <= problem.cost(problem.start, soft)
