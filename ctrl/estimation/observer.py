@@ -170,7 +170,7 @@ class Observer:
         if self._sensor in (_SENSORS["HYSTMPC_FRAMES"], _SENSORS["HYSTMPC_NEWEST_FRAME"]):
             return (
                 f"measure: got {y} deg of {age:.4g} samples ago, expected a finite angle of the last {self._oldest} "
-                "samples, of which the controller remembers those since its start"
+                "samples since the start"
             )
         return (
             f"measure: got {y} deg of {age:.4g} samples ago, expected a controller with estimator.sensor intermittent"

@@ -102,7 +102,7 @@ def test_what_cannot_be_used_is_refused(y: float, age: float) -> None:
     estimate = found.init(PLAY.y_rest, PLAY.u_rest)
     for _ in range(4):
         estimate = found.advance(found.correct(estimate, math.nan), PLAY.u_rest)
-    with pytest.raises(ControllerError, match="expected a finite angle of the last 4"):
+    with pytest.raises(ControllerError, match="expected a finite angle of the last 25 samples since the start"):
         found.correct_late(estimate, y, age)
 
 
