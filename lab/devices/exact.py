@@ -102,7 +102,10 @@ class Rehearsed(Controller[GuardedState]):
 
     def init(self, y: float, u: float) -> GuardedState:
         del u  # the recording ends with it
-        return replace(self._controller.replay(self._commands, self._angles), due=y)
+        state = self._controller.replay(self._commands, self._angles)
+        state = replace(state, memory=state.memory.copy())
+        state.head.due = y
+        return state
 
     def step(self, state: GuardedState, y: float, reference: Vec) -> tuple[Command, GuardedState]:
         return self._controller.step(state, y, reference)

@@ -44,7 +44,6 @@ _ENDINGS = {0: "not begun"} | {
         "ABSENT": "no loop in C on this system",
     }.items()
 }
-# Structs with functions written in Python, which a loop in C cannot wait for.
 _WATCH_S = 0.002  # polling period of the samples done in C
 _BEHIND_S = 0.05  # greatest delay of Python
 _AHEAD_S, _MOST_AHEAD = 0.25, 2048  # extent of the known reference: time, samples beyond the preview
