@@ -1,7 +1,12 @@
 /* A learned part along a plan, and its slopes; the basis itself is in the header. */
 #include "basis.h"
 
-enum { BASIS_MEMORY = HYSTMPC_MEMORY, BASIS_PLAYS = HYSTMPC_PLAYS, BASIS_WEIGHTED = HYSTMPC_WEIGHTED, BASIS_CREEPS = HYSTMPC_CREEPS };
+enum {
+    BASIS_MEMORY = HYSTMPC_MEMORY,
+    BASIS_PLAYS = HYSTMPC_PLAYS,
+    BASIS_WEIGHTED = HYSTMPC_WEIGHTED,
+    BASIS_CREEPS = HYSTMPC_CREEPS
+};
 
 #if HYSTMPC_SINGLE
 #define BASIS_EDGE R(1e-6) /* so close to its edge a play counts as driven */

@@ -44,7 +44,8 @@ HYSTMPC_LOCAL int hystmpc_chain_abreast(int rows);
 
 /* Rows of all stages: kept values of rows n0 ... n0 + count - 1, the last one again in idle lanes; a short run fills no
  * more lanes than its samples need. */
-HYSTMPC_LOCAL void hystmpc_chain_bind(const chain_run *r, const real *kept, int kept_rows, int n0, int count, int samples);
+HYSTMPC_LOCAL void hystmpc_chain_bind(const chain_run *r, const real *kept, int kept_rows, int n0, int count,
+                                      int samples);
 
 /* A block of samples of one stage; the states stand in the first column and end in column `samples`. */
 HYSTMPC_LOCAL void hystmpc_chain_run_stage(const chain_stage *s, int g, int samples, int slopes);

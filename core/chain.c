@@ -92,9 +92,10 @@ void hystmpc_chain_run_stage(const chain_stage *s, int g, int samples, int slope
     const hystmpc_code *p = &s->p;
     const int lanes = chain_whole_lanes(samples * g);
     hystmpc_code_lanes(p->code[PHASE_AHEAD], p->length[PHASE_AHEAD], s->row, 0, lanes);
-    if (p->length[PHASE_THROUGH] && g == 1) hystmpc_code_samples(p->code[PHASE_THROUGH], p->length[PHASE_THROUGH], s->row, 0, samples);
-    else if (p->length[PHASE_THROUGH])
-        for (int t = 0; t < samples; t++) hystmpc_code_lanes(p->code[PHASE_THROUGH], p->length[PHASE_THROUGH], s->row, t * g, g);
+    const int *const through = p->code[PHASE_THROUGH], length = p->length[PHASE_THROUGH];
+    if (length && g == 1) hystmpc_code_samples(through, length, s->row, 0, samples);
+    else if (length)
+        for (int t = 0; t < samples; t++) hystmpc_code_lanes(through, length, s->row, t * g, g);
     hystmpc_code_lanes(p->code[PHASE_BEHIND], p->length[PHASE_BEHIND], s->row, 0, lanes);
     if (slopes) hystmpc_code_lanes(p->code[PHASE_SLOPES], p->length[PHASE_SLOPES], s->row, 0, lanes);
 }
@@ -108,12 +109,13 @@ void hystmpc_chain_go_on(const chain_stage *s, int g, int samples) {
 
 /* Rows n0 ... n0 + count - 1 of hystmpc_chain_simulate. */
 static void chain_simulate_rows(const chain_run *r, int n0, int count, int samples, const real *u, const int *us, real *x,
-                          const int *xs, int moves, real *y, const int *ys) {
+                                const int *xs, int moves, real *y, const int *ys) {
     const int g = r->abreast, block = HYSTMPC_BLOCK / g;
     for (const chain_stage *s = r->stage; s < r->stage + r->stages; s++)
         for (int i = 0; i < s->p.states; i++)
             for (int n = 0; n < g; n++)
-                s->state[i * (CHAIN_STRIDE + g) + n] = x[(s->place[2] + i) * xs[0] + (n0 + smaller(n, count - 1)) * xs[1]];
+                s->state[i * (CHAIN_STRIDE + g) + n] =
+                    x[(s->place[2] + i) * xs[0] + (n0 + smaller(n, count - 1)) * xs[1]];
     for (int t0 = 0; t0 < samples; t0 += block) {
         const int now = smaller(block, samples - t0);
         for (int j = 0; j < r->inputs; j++)
@@ -128,7 +130,8 @@ static void chain_simulate_rows(const chain_run *r, int n0, int count, int sampl
         for (int j = 0; j < r->outputs; j++)
             for (int t = 0; t < now; t++)
                 for (int n = 0; n < count; n++)
-                    y[j * ys[0] + (t0 + t) * ys[1] + (n0 + n) * ys[2]] = r->signal[r->shown[j] * CHAIN_STRIDE + t * g + n];
+                    y[j * ys[0] + (t0 + t) * ys[1] + (n0 + n) * ys[2]] =
+                        r->signal[r->shown[j] * CHAIN_STRIDE + t * g + n];
     }
     if (!moves) return;
     for (const chain_stage *s = r->stage; s < r->stage + r->stages; s++)

@@ -68,6 +68,6 @@ HYSTMPC_API long hystmpc_chain_single_bytes(const int *chain);
 /* The command in [low, high] that brings the next angle to `wanted`, nearest to `last` on a flat branch; the angle does
  * not fall with the command. Newton's method on the exact derivative inside a shrinking bracket. */
 HYSTMPC_API real hystmpc_chain_command_for(const int *chain, const real *kept, const real *x, real wanted, real low,
-                                             real high, real last, char *memory);
+                                           real high, real last, char *memory);
 
 #endif

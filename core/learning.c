@@ -50,7 +50,8 @@ HYSTMPC_LOCAL void hystmpc_learning_init(const hystmpc_learner *n, real *past, h
     past[1] = side;
     past[2] = angle;
     for (int k = 0; k < LEARN_DELAYS; k++) past[LEARN_QUEUE + k] = v;
-    for (int t = 0; t <= LEARN_DELAYS + n->delay; t++) hystmpc_rest_memory(past + LEARN_HISTORY + t * LEARN_INSTANT, LEARN_LAGS, v, side);
+    for (int t = 0; t <= LEARN_DELAYS + n->delay; t++)
+        hystmpc_rest_memory(past + LEARN_HISTORY + t * LEARN_INSTANT, LEARN_LAGS, v, side);
     for (int delay = 0; delay < LEARN_DELAYS; delay++) {
         for (int a = 0; a < LEARN_UNKNOWNS; a++)
             for (int i = 0; i < LEARN_LAGS; i++) l->z[delay][a][i] = a ? R(0.0) : y - angle;
@@ -202,7 +203,8 @@ HYSTMPC_LOCAL void hystmpc_learning_added(const hystmpc_learner *n, const real *
             continue;
         }
         memory_behind(past, at, lag, memory);
-        hystmpc_features(&n->basis, memory, past + LEARN_HISTORY + (at + 1) * LEARN_INSTANT + lag, 1, past[0], past[1], f);
+        const real *const before = past + LEARN_HISTORY + (at + 1) * LEARN_INSTANT + lag;
+        hystmpc_features(&n->basis, memory, before, 1, past[0], past[1], f);
         real total = l->z[delay][1][lag] * (angles[k] - past[2]);
         for (int i = 0; i < HYSTMPC_FEATURES; i++) total += l->z[delay][2 + i][lag] * f[i];
         added[k] = l->share * total;

@@ -2,7 +2,7 @@
 #include "likelihood.h"
 
 real hystmpc_walk_likelihood(const real *residuals, const real *travel, int samples, real drift, real motion,
-                               real *sensor) {
+                             real *sensor) {
     real disturbance = R(0.0), variance = R(1.0), squares = R(0.0), logs = R(0.0);
     int count = 0;
     for (int k = 0; k < samples; k++) {

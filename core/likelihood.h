@@ -13,6 +13,6 @@
  * `travel` (T,) is that of the command in the sample before each [command unit], below zero at the first sample of a
  * trial; drift and motion are the variance of the walk in a sample, and over one unit of travel. */
 HYSTMPC_API real hystmpc_walk_likelihood(const real *residuals, const real *travel, int samples, real drift,
-                                           real motion, real *sensor);
+                                         real motion, real *sensor);
 
 #endif

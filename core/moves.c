@@ -103,7 +103,7 @@ static void lead_moves(bounded *b, real *moves) {
 }
 
 void hystmpc_bounded_moves(const real *by_move, const real *off, int size, real reach, real weight,
-                                         real *moves, real *work) {
+                           real *moves, real *work) {
     bounded b;
     b.size = size;
     b.reach = reach;

@@ -11,6 +11,6 @@ HYSTMPC_API int hystmpc_first_acting(const real *response, int size);
 /* argmin over |m_k| <= reach of |G (m - m_0) - e|^2 + w |m|^2, in place from `moves` m_0 (H); by_move: G (H, H), lower
  * triangular; off: e (H); work: 2 H (H + 2) numbers. */
 HYSTMPC_API void hystmpc_bounded_moves(const real *by_move, const real *off, int size, real reach, real weight,
-                                         real *moves, real *work);
+                                       real *moves, real *work);
 
 #endif

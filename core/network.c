@@ -155,7 +155,7 @@ static net_table net_table_in(const hystmpc_network *net, int rows, real *work) 
 
 /* Sums z (rows, panels, 4) of all inputs, for so many rows and panels, which are constants where this is called. */
 NET_INLINE void net_products(int rows, int panels, const float *weights, long size, int inputs, const float *x, int width,
-                     net_vec *z) {
+                             net_vec *z) {
     net_vec sums[NET_ROWS > 2 ? NET_ROWS : 2][NET_GATES];
     for (int n = 0; n < rows * panels; n++)
         for (int gate = 0; gate < NET_GATES; gate++) sums[n][gate] = z[n * NET_GATES + gate];
@@ -211,7 +211,8 @@ NET_INLINE net_vec net_odd(net_vec x) {
 
 NET_INLINE net_vec even(net_vec x) {
     const net_vec s = x * x, q = net_fused(net_all(1.91435902e-06F), s, net_all(0.000640153361F));
-    return net_fused(net_fused(net_fused(q, s, net_all(0.0462537706F)), s, net_all(0.811259866F)), s, net_all(1.72965527F));
+    const net_vec r = net_fused(net_fused(q, s, net_all(0.0462537706F)), s, net_all(0.811259866F));
+    return net_fused(r, s, net_all(1.72965527F));
 }
 
 NET_INLINE net_vec net_tangent_of(net_vec x) {
@@ -234,7 +235,8 @@ NET_INLINE net_vec gru_cell(const net_vec *z, net_vec h) {
 NET_INLINE net_vec differentiated_gru_cell(const net_vec *z, net_vec h, net_vec *by) {
     const net_vec half = net_all(0.5F), r = net_tangent_of(z[0]), k = net_tangent_of(z[1]);
     const net_vec opened = net_fused(half, r, half), keep = net_fused(half, k, half), take = net_fused(-half, k, half);
-    const net_vec new = net_tangent_of(net_fused(opened, z[3], z[2])), fresh = take * net_one_less_square(new), gap = h - new;
+    const net_vec new = net_tangent_of(net_fused(opened, z[3], z[2])), gap = h - new;
+    const net_vec fresh = take * net_one_less_square(new);
     by[0] = keep;
     by[1] = fresh * z[3] * (half * net_one_less_square(r));
     by[2] = gap * (half * net_one_less_square(k));
@@ -251,7 +253,8 @@ NET_INLINE net_vec gru_tangent(const net_vec *z, net_vec h, const net_vec *by) {
 /* Cell and output of a unit from the sums z of the gates i, f, g, o: c' = f c + i g, h' = o tanh(c'), with two
  * divisions. */
 NET_INLINE void lstm_cell(const net_vec *z, net_vec *c, net_vec *h) {
-    const net_vec half = net_all(0.5F), i = net_bound(z[0]), f = net_bound(z[1]), g = net_bound(z[2]), o = net_bound(z[3]);
+    const net_vec half = net_all(0.5F);
+    const net_vec i = net_bound(z[0]), f = net_bound(z[1]), g = net_bound(z[2]), o = net_bound(z[3]);
     const net_vec qi = even(i), qf = even(f), qo = even(o), beside = qi * even(g);
     const net_vec kept = (qf + net_odd(f)) * *c * beside;
     const net_vec total = net_fused((qi + net_odd(i)) * net_odd(g), qf, kept);
@@ -262,7 +265,8 @@ NET_INLINE void lstm_cell(const net_vec *z, net_vec *c, net_vec *h) {
 
 /* The same, and derivatives: dc' = f_0 dc + f_1 dz_i + f_2 dz_f + f_3 dz_g, dh' = f_4 dz_o + f_5 dc'. */
 NET_INLINE void differentiated_lstm_cell(const net_vec *z, net_vec *c, net_vec *h, net_vec *by) {
-    const net_vec half = net_all(0.5F), i = net_tangent_of(z[0]), f = net_tangent_of(z[1]), g = net_tangent_of(z[2]), o = net_tangent_of(z[3]);
+    const net_vec half = net_all(0.5F), i = net_tangent_of(z[0]), f = net_tangent_of(z[1]);
+    const net_vec g = net_tangent_of(z[2]), o = net_tangent_of(z[3]);
     const net_vec gain = net_fused(half, i, half), forget = net_fused(half, f, half), out = net_fused(half, o, half);
     by[0] = forget;
     by[1] = half * net_one_less_square(i) * g;

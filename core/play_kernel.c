@@ -101,7 +101,7 @@ void hystmpc_play_kernel_linearise(const real *model, int plays, int segments, c
 }
 
 real hystmpc_play_kernel_command(const real *model, int plays, int segments, const real *state, real wanted,
-                                   real low, real high, real last, real *work) {
+                                 real low, real high, real last, real *work) {
     const play_kernel m = play_kernel_of(model, plays, segments);
     const int size = m.size;
     real *x = work, *slope = x + size, u = least(most(last, low), high);

@@ -14,7 +14,7 @@
  * Unless it is a null pointer, `slope` (2 S + 1,) becomes d theta / d z_i (first d / d v without the stops), whether
  * play i moves (1 or 0), and last d theta / d u without the part through v. */
 HYSTMPC_API real hystmpc_play_kernel_step(const real *model, int plays, int segments, real *x, real u,
-                                            real *slope);
+                                          real *slope);
 
 /* Angles theta (N, H) [deg] of plans (N, H) from one state (S,); work (S,). */
 HYSTMPC_API void hystmpc_play_kernel_rollout(const real *model, int plays, int segments, const real *state,
@@ -27,7 +27,7 @@ HYSTMPC_API void hystmpc_play_kernel_linearise(const real *model, int plays, int
 
 /* Command in [low, high] whose next angle is `wanted` [deg], by Newton's method within brackets; work (3 S + 1,). */
 HYSTMPC_API real hystmpc_play_kernel_command(const real *model, int plays, int segments, const real *state,
-                                               real wanted, real low, real high, real last, real *work);
+                                             real wanted, real low, real high, real last, real *work);
 
 /* States (T, 1 + n) after each command (T,): v += gain (u - v), then p_i = max(v - r_i, min(v + r_i, p_i)). `now`
  * (1 + n,) is the state before the first command and becomes the last one. */

@@ -4,7 +4,8 @@
 /* As `BINARY`, `UNARY` and `select` of models/program.py. */
 enum operation {
     OP_ADD, OP_SUB, OP_MUL, OP_DIV, OP_LT, OP_LE, OP_EQ, OP_NE, OP_AND, OP_OR, OP_IF_ELSE_ZERO, OP_FMIN, OP_FMAX, OP_POW,
-    OP_NEG, OP_FABS, OP_SIGN, OP_SQRT, OP_SQ, OP_TWICE, OP_INV, OP_NOT, OP_EXP, OP_LOG, OP_TANH, OP_SIN, OP_COS, OP_FLOOR, OP_ASSIGN, OP_SELECT
+    OP_NEG, OP_FABS, OP_SIGN, OP_SQRT, OP_SQ, OP_TWICE, OP_INV, OP_NOT, OP_EXP, OP_LOG, OP_TANH, OP_SIN, OP_COS, OP_FLOOR,
+    OP_ASSIGN, OP_SELECT
 };
 
 typedef char code_kinds_are_all[OP_SELECT + 1 == CODE_KINDS ? 1 : -1];
@@ -104,7 +105,7 @@ void hystmpc_code_single(const int *code, int length, real *registers) {
 }
 
 void hystmpc_code_prepare(const hystmpc_code *p, const real *constants, int count, const real *parameters, int stride,
-                     real dt, real *kept, int kept_stride, real *room) {
+                          real dt, real *kept, int kept_stride, real *room) {
     for (int j = 0; j < p->parameters; j++) room[j] = parameters[j * stride];
     room[p->parameters] = dt;
     for (int k = 0; k < count; k++) room[p->parameters + 1 + k] = constants[k];

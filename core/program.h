@@ -22,7 +22,9 @@
 #include "hystmpc_core.h"
 #include "real.h"
 
-enum hystmpc_phase { PHASE_ONCE, PHASE_AHEAD, PHASE_THROUGH, PHASE_BEHIND, PHASE_SLOPES, PHASE_FIXED, PHASE_MOVING, PHASE_REST, PHASES };
+enum hystmpc_phase {
+    PHASE_ONCE, PHASE_AHEAD, PHASE_THROUGH, PHASE_BEHIND, PHASE_SLOPES, PHASE_FIXED, PHASE_MOVING, PHASE_REST, PHASES
+};
 
 enum { CODE_WORDS = 5, CODE_KINDS = 30 }; /* numbers of an instruction; operations */
 
@@ -52,7 +54,8 @@ HYSTMPC_LOCAL void hystmpc_code_samples(const int *code, int length, real *const
 HYSTMPC_LOCAL void hystmpc_code_single(const int *code, int length, real *registers);
 
 /* Kept values (kept) by parameters (P) and sample time [s]; room for `registers` numbers. */
-HYSTMPC_LOCAL void hystmpc_code_prepare(const hystmpc_code *p, const real *constants, int count, const real *parameters, int stride,
-                     real dt, real *kept, int kept_stride, real *room);
+HYSTMPC_LOCAL void hystmpc_code_prepare(const hystmpc_code *p, const real *constants, int count,
+                                        const real *parameters, int stride, real dt, real *kept, int kept_stride,
+                                        real *room);
 
 #endif

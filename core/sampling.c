@@ -85,7 +85,8 @@ void hystmpc_fit_columns(int count, int samples, int size, const real *plans, co
         }
     }
     for (int j = 0; j < size; j++) trace += normal[j * size + j];
-    for (int j = 0; j < size; j++) normal[j * size + j] += SAMPLING_RIDGE * trace + SAMPLING_LEAST; /* slope 0 if no sample has moved */
+    for (int j = 0; j < size; j++) /* slope 0 if no sample has moved */
+        normal[j * size + j] += SAMPLING_RIDGE * trace + SAMPLING_LEAST;
     sampling_solve(normal, products, size, samples);
     for (int i = 0; i < size; i++) {
         fill(change, R(0.0), samples);

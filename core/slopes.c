@@ -50,7 +50,8 @@ static int add_term(const direction *d, const int *slope, real *to, int adds) {
     const real *value = d->s->row[slope[2]];
     if (slope[0] == BY_STATE) add_product(to, value, history_of(d, slope[1]), d->first, d->lanes, adds);
     else if (slope[0] == BY_INPUT)
-        add_product(to, value, r->by + (d->s->wires[slope[1]] * r->directions + d->q) * CHAIN_STRIDE, d->first, d->lanes, adds);
+        add_product(to, value, r->by + (d->s->wires[slope[1]] * r->directions + d->q) * CHAIN_STRIDE, d->first,
+                    d->lanes, adds);
     else add_multiple(to, value, d->seeds[slope[1] * r->directions], d->first, d->lanes, adds);
     return 1;
 }
@@ -170,7 +171,8 @@ static void begin_runs(const chain_run *r, const group_of_runs *c) {
     for (const chain_stage *s = r->stage; s < r->stage + r->stages; s++)
         for (int i = 0; i < s->p.states; i++)
             for (int n = 0; n < g; n++)
-                s->state[i * (CHAIN_STRIDE + g) + n] = c->x[(s->place[2] + i) * c->runs + c->n0 + smaller(n, c->count - 1)];
+                s->state[i * (CHAIN_STRIDE + g) + n] =
+                    c->x[(s->place[2] + i) * c->runs + c->n0 + smaller(n, c->count - 1)];
     for (int i = 0; i < r->states; i++)
         for (int q = 0; q < d; q++) {
             r->moves[i * d + q] = 0;
@@ -269,7 +271,8 @@ void hystmpc_chain_linearise(const int *chain, const real *kept, const real *x, 
 
 long hystmpc_chain_linearise_bytes(const int *chain, int samples) {
     chain_run r;
-    return hystmpc_chain_lay_out(&r, chain, 1, samples, NULL) + (long)sizeof(real) * samples * (samples + chain[1] + chain[2]) + 64;
+    const long numbers = (long)samples * (samples + chain[1] + chain[2]);
+    return hystmpc_chain_lay_out(&r, chain, 1, samples, NULL) + (long)sizeof(real) * numbers + 64;
 }
 
 void hystmpc_chain_differentiate(const int *chain, const real *kept, int rows, const int *first, const real *u,
