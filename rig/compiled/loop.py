@@ -20,7 +20,7 @@ from hystmpc.ctrl.estimation.observer import ANGLE_BOUND_DEG
 from hystmpc.ctrl.guarded import GuardedController, GuardedState
 from hystmpc.ctrl.problem import written_in
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.types import Vec
+from hystmpc.trials.types import Index, Vec
 
 from ..safety.gate import Gate
 from ..safety.intake import Intake
@@ -120,7 +120,7 @@ class CompiledLoop:
         self._run(self._address, self._controller.problem.address, self._memory, self._room, word)
 
     def samples(
-        self, numbers: Mapping[str, Any], wanted: Callable[[Vec], Vec], end: int, flag: StopFlag
+        self, numbers: Mapping[str, Any], wanted: Callable[[Index], Vec], end: int, flag: StopFlag
     ) -> Generator[Any]:
         """Execute samples in C and yield the struct `hystmpc_sample` of each; `view` then holds the reason of the end.
 
@@ -161,13 +161,10 @@ class CompiledLoop:
             "reference": f"reference: not finite or beyond {ANGLE_BOUND_DEG:.0f} deg",
             "stalled": stalled,
             "refusal": refusal,
-            "outside": "",
-            "inverse": "",
-            "advance": "",
             "unfinished": "",
         }
         level = sample.level if answer.source == _FEEDBACK else 0
-        status = status_words(answer, level, sample.forecast_error, sample.stalled, more)
+        status = status_words(answer, level, sample.forecast_error, sample.stalled, (), more)
         predicted = EMPTY if np.isnan(answer.predicted_deg) else np.array((answer.predicted_deg,))
         timing = Timing({"step": 1e-9 * sample.step_ns})
         return Command(answer.u, SOURCES[answer.source], status, EMPTY, predicted, answer.departure_deg, timing)
@@ -208,7 +205,7 @@ class CompiledLoop:
             yield view.samples[k % _SAMPLES]
             view.read = k + 1
 
-    def _feed(self, wanted: Callable[[Vec], Vec]) -> None:
+    def _feed(self, wanted: Callable[[Index], Vec]) -> None:
         """Extend the reference in the buffer of the loop; a failure ends the loop."""
         view = self.view
         first, last = int(view.fed), min(int(view.steps) + self._ahead, int(view.end) + self._preview + 1)
