@@ -20,7 +20,7 @@ from hystmpc.ctrl.estimation.observer import ANGLE_BOUND_DEG
 from hystmpc.ctrl.guarded import GuardedController, GuardedState
 from hystmpc.ctrl.problem import written_in
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.types import Index, Vec
+from hystmpc.trials.types import Vec
 
 from ..safety.gate import Gate
 from ..safety.intake import Intake
@@ -120,7 +120,7 @@ class CompiledLoop:
         self._run(self._address, self._controller.problem.address, self._memory, self._room, word)
 
     def samples(
-        self, numbers: Mapping[str, Any], wanted: Callable[[Index], Vec], end: int, flag: StopFlag
+        self, numbers: Mapping[str, Any], wanted: Callable[[Vec], Vec], end: int, flag: StopFlag
     ) -> Generator[Any]:
         """Execute samples in C and yield the struct `hystmpc_sample` of each; `view` then holds the reason of the end.
 
@@ -205,7 +205,7 @@ class CompiledLoop:
             yield view.samples[k % _SAMPLES]
             view.read = k + 1
 
-    def _feed(self, wanted: Callable[[Index], Vec]) -> None:
+    def _feed(self, wanted: Callable[[Vec], Vec]) -> None:
         """Extend the reference in the buffer of the loop; a failure ends the loop."""
         view = self.view
         first, last = int(view.fed), min(int(view.steps) + self._ahead, int(view.end) + self._preview + 1)
@@ -214,7 +214,7 @@ class CompiledLoop:
             return
         try:
             numbers = np.arange(first, last)
-            self._reference[numbers % _REFERENCES] = wanted(numbers)
+            self._reference[numbers % _REFERENCES] = wanted(numbers.astype(np.float64))
         except Exception:  # noqa: BLE001 - a user's function; the sample that Python takes then says what is wrong
             return
         view.fed = last
