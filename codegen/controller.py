@@ -23,13 +23,12 @@ from hystmpc.models.load import load_model, model_path
 from hystmpc.models.model import Predictor
 from hystmpc.models.networks.route import NetworkRoute
 from hystmpc.models.prediction.build import controller_model
-from hystmpc.models.program import BINARY, UNARY
-from hystmpc.models.stages import CODES
 from hystmpc.trials.errors import ExportError
 from hystmpc.trials.files import write_atomically
 
 from .amalgam import ONE_FILE, amalgam
-from .numbers import LINE, Numbers, number
+from .literals import EXACT, INEXACT, functions_called, literal
+from .numbers import LINE, Numbers
 
 ENGINE = (
     "program",
@@ -37,6 +36,7 @@ ENGINE = (
     "slopes",
     "rest",
     "inverse",
+    "follow",
     "network",
     "moves",
     "drive",
@@ -52,7 +52,6 @@ ENGINE = (
     "qp",
     "law",
     "normals",
-    "planning",
     "sampling",
     "random_plans",
     "planner",
@@ -65,22 +64,12 @@ ENGINE = (
 LANES, BLOCK = 8, 64
 """Units of a panel of a network's weights; numbers of a row of a block, which decides how much room a step takes."""
 
-EXACT = ("fabs", "sqrt", "rint", "ceil", "floor", "fmaf")
-"""Functions of <math.h> whose results are exact or rounded correctly wherever floating point is IEC 60559."""
-INEXACT = ("exp", "log", "log1p", "tanh", "sin", "cos", "pow")
-"""Functions of <math.h> whose last digits differ from one C library to the next."""
-
 _UNUSED = """#ifdef __GNUC__
 #pragma GCC diagnostic ignored "-Wunused-function" /* a controller needs a part of its engine */
 #endif
 """
 _RENAMED = "hystmpc_memory_bytes", "hystmpc_bytes_of_memory"
 """A function of the engine whose name the header needs, and its name within the file."""
-_HEAD, _STAGE, _WORDS = (
-    7,
-    9,
-    5,
-)  # of a chain: numbers before its outputs, of a stage, of an instruction; see core/chain.h
 _LONGEST_S = 10.0
 
 
@@ -224,9 +213,9 @@ def _header(problem: Struct, single: bool, remembered: int, whole: int) -> str:
     said = [_enumeration(text, first) for text, names in zip(headers, wanted, strict=True) for first in names]
     command = _about("typedef struct", "} hystmpc_command;", headers[0]).replace("    real ", "    hystmpc_real ")
     sizes = {
-        "SAMPLE_S": number(fields["dt_s"], False),
-        "LOWEST": number(fields["lower"], False),
-        "HIGHEST": number(fields["upper"], False),
+        "SAMPLE_S": literal(fields["dt_s"], False),
+        "LOWEST": literal(fields["lower"], False),
+        "HIGHEST": literal(fields["upper"], False),
         "REFERENCE": _samples(problem),
         "REMEMBERED": remembered,
         "BYTES": whole,
@@ -309,29 +298,9 @@ def _functions(problem: Struct) -> set[str]:
         if not isinstance(part, Struct):
             continue
         if part.fields.get("chain") is not None:
-            called |= _called_by(part.fields["chain"].tolist())
+            called.update(functions_called(part.fields["chain"].tolist(), at_rest=True))
         if part.name == "hystmpc_sampling":
             called |= {"exp", "log1p"}
         if part.name == "hystmpc_sensing" and part.fields["sensor"] == kinds["HYSTMPC_FRAMES"]:
             called |= {"exp", "ceil"}
     return called
-
-
-def _called_by(chain: list[int]) -> set[str]:
-    """Functions that the operations of a chain call, see core/program.h."""
-    names = {CODES[name]: name for name in (*BINARY, *UNARY)}
-    codes: set[int] = set()
-    for stage in range(chain[0]):
-        place = _HEAD + chain[6] + _STAGE * stage
-        for at in chain[place : place + 2]:
-            if at >= 0:
-                codes |= _operations(chain[at:])
-    return {names[code] for code in codes if code in names} & {*EXACT, *INEXACT}
-
-
-def _operations(table: list[int]) -> set[int]:
-    """Operations of all phases but the first, whose results the file holds."""
-    head, phases = table[0], table[11:19]
-    first = head + table[5]
-    begin, end = first + _WORDS * phases[0], first + _WORDS * sum(phases)
-    return set(table[begin:end:_WORDS])

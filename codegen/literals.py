@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 
-from hystmpc.core.chain import ChainCode
+import numpy as np
+
 from hystmpc.models.stages import CODES
 
-EXACT = ("fabs", "sqrt", "rint", "floor", "fmaf")
+EXACT = ("fabs", "sqrt", "rint", "ceil", "floor", "fmaf")
 """Functions of <math.h> whose results are exact or rounded correctly wherever floating point is IEC 60559."""
-INEXACT = ("exp", "log", "tanh", "sin", "cos", "pow")
+INEXACT = ("exp", "log", "log1p", "tanh", "sin", "cos", "pow")
 """Functions of <math.h> whose last digits differ from one C library to the next."""
 
-_HEAD, _PHASES, _WORDS, _KEPT = (
-    19,
-    8,
-    5,
-    5,
-)  # of a table, see `core/program.h`; _KEPT: place of the number of kept values
-_STEP = range(5, 8)  # phases of one sample at a time
+_CHAIN_HEAD, _STAGE = 7, 9  # numbers of a chain before its outputs, and of a stage; see `core/chain.h`
+_HEAD, _PHASES, _WORDS, _KEPT = 19, 8, 5, 5  # of a table, see `core/program.h`; place of the number of kept values
 
 
 def number(value: float) -> str:
@@ -41,15 +37,36 @@ def table(name: str, kind: str, values: Iterable[str]) -> str:
     return "\n".join([*lines, line, "};", ""])
 
 
-def functions_called(code: ChainCode) -> tuple[str, ...]:
-    """Functions of <math.h> that a chain's step calls, sample by sample."""
-    used = {operation for stage in code.stages for operation in _operations(stage.table.tolist())}
+def literal(value: float, single: bool) -> str:
+    """C literal that gives exactly this number, or in single precision the nearest one."""
+    with np.errstate(over="ignore"):
+        rounded = float(np.float32(value)) if single else float(value)
+    if math.isnan(rounded):
+        return "(real)NAN"
+    if math.isinf(rounded):
+        return "(real)INFINITY" if rounded > 0 else "-(real)INFINITY"
+    return f"{np.format_float_scientific(np.float32(rounded), trim='0')}F" if single else repr(rounded)
+
+
+def functions_called(chain: Iterable[int], at_rest: bool = False) -> tuple[str, ...]:
+    """Functions of <math.h> that a chain's step calls, sample by sample.
+
+    Args:
+        chain: block of whole numbers, see `core/chain.h`.
+        at_rest: whether states at rest are computed too.
+    """
+    words, used = list(chain), set[int]()
+    for stage in range(words[0]):
+        place = _CHAIN_HEAD + words[6] + _STAGE * stage
+        for at in words[place : place + 1 + at_rest]:
+            used.update(_operations(words[at:]) if at >= 0 else ())
     return tuple(name for name in (*EXACT, *INEXACT) if CODES.get(name) in used)
 
 
-def _operations(words: list[int]) -> Iterable[int]:
+def _operations(words: Sequence[int]) -> Iterator[int]:
+    """Operations of a table that are done in every sample, or for a state at rest."""
     lengths, at = words[_HEAD - _PHASES : _HEAD], _HEAD + words[_KEPT]
     for phase, length in enumerate(lengths):
-        if phase in _STEP:
+        if phase:
             yield from words[at : at + _WORDS * length : _WORDS]
         at += _WORDS * length

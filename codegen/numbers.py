@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from typing import Any, final
 
@@ -12,6 +11,8 @@ from hystmpc.core.structs import Field, Struct, fields_of
 from hystmpc.models.networks.packed import NetworkWeights, network_facts, network_numbers
 from hystmpc.models.networks.route import NetworkRoute
 from hystmpc.trials.errors import ExportError
+
+from .literals import literal
 
 _WIDTH = 116  # characters of a line
 _SUFFIX: Mapping[str, str] = {"uint32_t": "U", "int64_t": "LL", "uint64_t": "ULL"}
@@ -90,7 +91,7 @@ class Numbers:
 
     def _number(self, kind: str, value: float) -> str:
         if kind in ("real", "hystmpc_real", "double", "float"):
-            return number(value, single=kind == "float" or (self._single and kind != "double"))
+            return literal(value, single=kind == "float" or (self._single and kind != "double"))
         return f"(-{-value - 1} - 1)" if value < -(2**31 - 1) else f"{value}{_SUFFIX.get(kind, '')}"
 
     def _network(self, weights: NetworkWeights) -> str:
@@ -98,21 +99,9 @@ class Numbers:
         numbers = network_numbers(weights, self._lanes)
         kinds = {field.name: field.kind for field in fields_of("hystmpc_network")}
         head = [f".{name} = {self._number(kinds[name], value)}" for name, value in network_facts(weights).items()]
-        floats = _braces(number(value, single=True) for value in numbers.tolist())
+        floats = _braces(literal(value, single=True) for value in numbers.tolist())
         kind = f"struct {{ hystmpc_network head; float numbers[{numbers.size}]; }}"
         return self._variable("n", kind, " EXPORTED_LINE", f"{{{_braces(head)},\n {floats}}}")
-
-
-def number(value: float, single: bool) -> str:
-    """Return a C literal that gives exactly this number, or in single precision the nearest one."""
-    with np.errstate(over="ignore"):
-        rounded = float(np.float32(value)) if single else float(value)
-    if math.isnan(rounded):
-        return "(real)NAN"
-    if math.isinf(rounded):
-        return "(real)INFINITY" if rounded > 0 else "-(real)INFINITY"
-    text = np.format_float_scientific(np.float32(rounded), trim="0") if single else repr(rounded)
-    return f"{text}F" if single else text
 
 
 def _braces(texts: Iterator[str] | list[str]) -> str:

@@ -87,7 +87,6 @@ void hystmpc_controller_held(const void *problem, char *memory, real command) {
     hystmpc_memory m;
     hystmpc_memory_at(p, memory, &m);
     known_of(&m)->command = command;
-    if (p->model && p->model->learner) m.observed.alone.known->command = command;
 }
 
 int hystmpc_controller_init(const void *problem, char *memory, const real *x, real angle_deg, real command,

@@ -18,7 +18,7 @@ static int observer_learns(const hystmpc_sensing *s, const hystmpc_model *m) {
 
 /* Whether the observer advances a model by itself. */
 static int observer_has_model(const hystmpc_sensing *s, const hystmpc_model *m) {
-    return !observer_newest(s) && s->sensor != HYSTMPC_OBSERVED && m && m->predictor;
+    return !observer_newest(s) && m && m->predictor;
 }
 
 HYSTMPC_LOCAL int hystmpc_later(int samples) { return samples < HYSTMPC_MOST_SAMPLES ? samples + 1 : samples; }
@@ -29,12 +29,10 @@ HYSTMPC_LOCAL int hystmpc_numbers_past(const hystmpc_learner *n) {
     return 3 + HYSTMPC_DELAYS + (HYSTMPC_DELAYS + 1 + n->delay) * HYSTMPC_MEMORY * HYSTMPC_LAGS;
 }
 
-/* An observer written in Python holds the learned part's numbers in its state too, where there is one. */
 HYSTMPC_LOCAL hystmpc_extent hystmpc_extent_of(const hystmpc_sensing *s, const hystmpc_model *m) {
     hystmpc_extent n = {0, 0, 0};
     if (observer_newest(s)) return n;
     if (m && m->predictor) n.states = m->predictor->states;
-    if (m && m->learner && s->sensor == HYSTMPC_OBSERVED) n.states += (int)(sizeof(hystmpc_learned) / sizeof(real));
     n.angles = s->delay + 1;
     if (s->noise) n.bank = 3 * s->noise->sensors * s->noise->drifts * s->noise->motions;
     return n;
@@ -292,52 +290,14 @@ HYSTMPC_LOCAL void hystmpc_observer_correct(const hystmpc_sensing *s, const hyst
     else if (s->sensor == HYSTMPC_NO_SENSOR) e->known->measured = e->angles[0];
     else if (observer_newest(s)) observer_correct_newest(s, e->known, y);
     else if (observer_learns(s, m)) observer_correct_learned(s, m, &n, o, y);
-    else if (s->sensor != HYSTMPC_OBSERVED) hystmpc_estimate_correct(s, &n, e, y);
-    else {
-        const hystmpc_known before = *e->known;
-        if (s->outside->correct(e->known, e->model, e->angles, y) == 0) return;
-        *e->known = before;
-        e->known->missing = hystmpc_later(before.missing);
-    }
-}
-
-/* What an observer from outside may have written of a state and angles before it failed: saved, brought back. */
-static void observer_save(const hystmpc_extent *n, const hystmpc_estimate *e, real *work) {
-    memcpy(work, e->model, sizeof(real) * (size_t)n->states);
-    memcpy(work + n->states, e->angles, sizeof(real) * (size_t)n->angles);
-}
-
-static void observer_bring_back(const hystmpc_extent *n, hystmpc_estimate *e, const real *work) {
-    memcpy(e->model, work, sizeof(real) * (size_t)n->states);
-    memcpy(e->angles, work + n->states, sizeof(real) * (size_t)n->angles);
+    else hystmpc_estimate_correct(s, &n, e, y);
 }
 
 HYSTMPC_LOCAL int hystmpc_observer_correct_late(const hystmpc_sensing *s, const hystmpc_model *m, hystmpc_observed *o,
                                                 real y, real age, char *room) {
     if (s->sensor == HYSTMPC_FRAMES) return hystmpc_frames_correct_late(s, m, o, y, age, room);
     if (s->sensor == HYSTMPC_NEWEST_FRAME) return observer_correct_frame(s, o, y, age);
-    if (s->sensor != HYSTMPC_OBSERVED) return 0;
-    const hystmpc_extent n = hystmpc_extent_of(s, m);
-    const hystmpc_known before = *o->now.known;
-    real *work = hystmpc_observer_work(m, room);
-    observer_save(&n, &o->now, work);
-    if (s->outside->correct_late(o->now.known, o->now.model, o->now.angles, y, age) == 0) return 1;
-    observer_bring_back(&n, &o->now, work);
-    *o->now.known = before;
     return 0;
-}
-
-static void observer_advance_outside(const hystmpc_sensing *s, const hystmpc_model *m, const hystmpc_extent *n,
-                                     hystmpc_estimate *e, real u, char *room) {
-    const hystmpc_known before = *e->known;
-    real *work = hystmpc_observer_work(m, room);
-    observer_save(n, e, work);
-    if (s->outside->advance(e->known, e->model, e->angles, u) == 0) return;
-    observer_bring_back(n, e, work);
-    *e->known = before;
-    e->known->command = u;
-    e->known->stalled = hystmpc_later(before.stalled);
-    observer_drop_first(e->angles, n->angles, e->angles[n->angles - 1]);
 }
 
 HYSTMPC_LOCAL void hystmpc_observer_advance(const hystmpc_sensing *s, const hystmpc_model *m, hystmpc_observed *o,
@@ -346,10 +306,6 @@ HYSTMPC_LOCAL void hystmpc_observer_advance(const hystmpc_sensing *s, const hyst
     const int learns = observer_learns(s, m);
     hystmpc_estimate *modelled = learns ? &o->alone : &o->now;
     hystmpc_known *known = o->now.known;
-    if (s->sensor == HYSTMPC_OBSERVED) {
-        observer_advance_outside(s, m, &n, &o->now, u, room);
-        return;
-    }
     if (!observer_has_model(s, m)) {
         known->command = u;
         if (s->sensor == HYSTMPC_NEWEST_FRAME) known->missing = hystmpc_later(known->missing);
@@ -388,6 +344,5 @@ HYSTMPC_LOCAL real hystmpc_observer_age(const hystmpc_observed *o) {
 HYSTMPC_LOCAL real hystmpc_observer_sigma(const hystmpc_sensing *s, const hystmpc_observed *o) {
     const hystmpc_known *known = o->now.known;
     const int filters = s->noise ? s->noise->sensors * s->noise->drifts * s->noise->motions : 0;
-    if (s->sensor == HYSTMPC_OBSERVED) return known->sigma;
     return MATH(sqrt)(known->variance) * observer_share(s, known, o->now.bank, filters);
 }

@@ -20,8 +20,7 @@ enum {
     HYSTMPC_FRAMES = 1,       /* now and then, and late: each is used at the instant at which it was taken */
     HYSTMPC_NO_SENSOR = 2,    /* the model alone */
     HYSTMPC_NEWEST = 3,       /* no model: the newest measurement of a continuous sensor */
-    HYSTMPC_NEWEST_FRAME = 4, /* no model: the frame that was taken last */
-    HYSTMPC_OBSERVED = 5      /* by an observer written in Python */
+    HYSTMPC_NEWEST_FRAME = 4  /* no model: the frame that was taken last */
 };
 
 enum { HYSTMPC_SEEN = 16 }; /* measurements of one instant that are remembered for late frames */
@@ -33,7 +32,6 @@ typedef struct {
     real variance;    /* of its error [deg^2] */
     real measured;    /* last accepted measurement [deg] */
     real since;       /* share of a sample by which that is younger than `missing` samples */
-    real sigma;       /* HYSTMPC_OBSERVED: standard deviation of what noise does to the disturbance in a hold [deg] */
     real forecast_error;
     real added;       /* learned part of the first angle [deg] */
     real earned[2];   /* of frames: sums of m z and m^2 [deg^2], m the mean of the bank before the offset z came */
@@ -43,14 +41,6 @@ typedef struct {
     int stalled;      /* samples since the model was last advanced */
     int spare;
 } hystmpc_known;
-
-/* Functions of an observer that is written in Python: they write into `known`, x (S, and the learned part's numbers where
- * the model has one) and the angles (D + 1), and answer 0, or another number where it failed. */
-typedef struct {
-    int (*correct)(hystmpc_known *known, real *x, real *angles, real y);
-    int (*correct_late)(hystmpc_known *known, real *x, real *angles, real y, real age);
-    int (*advance)(hystmpc_known *known, real *x, real *angles, real u);
-} hystmpc_observer_outside;
 
 typedef struct {
     int sensor;
@@ -64,7 +54,6 @@ typedef struct {
     real doubt;            /* of frames: prior doubt, as many frames of pure noise */
     const real *logs;      /* of frames: logarithms of the filters' sensor variances (M) */
     const hystmpc_noise *noise; /* null without a model or a sensor */
-    const hystmpc_observer_outside *outside;
 } hystmpc_sensing;
 
 /* An estimate in a memory: one block of bytes without pointers. */

@@ -27,7 +27,7 @@ from .feedback import (
     feedback_gains,
 )
 from .law import LawPart, LawSettings
-from .law_tables import MoveBlocking
+from .law_tables import MoveBlocking, law_over
 from .learning.predictor import LearnedInverse, LearnedPredictor
 from .mpc_settings import HoldSettings, LinearisedMpcSettings, PredictiveSettings, SamplingMpcSettings, WeightsSettings
 
@@ -265,43 +265,6 @@ def _preview(device: _Device, horizon: int) -> Struct:
         iterations=_INVERSE_ITERATIONS,
         changes=CHANGES,
         law=law_over(weights, horizon, device.limits, device.dt),
-    )
-
-
-def law_over(
-    weights: WeightsSettings, horizon: int, limits: CommandLimits, dt: float, blocks: tuple[int, ...] | None = None
-) -> Struct:
-    """Return the `hystmpc_law` of weights over a horizon.
-
-    Args:
-        blocks: samples of each block of moves, see `MoveBlocking`; None if every sample may move.
-
-    Raises:
-        ControllerError: if the blocks do not fit the horizon, or the angle limits cross.
-    """
-    starts = ends = np.arange(horizon)
-    tables: dict[str, Any] = {}
-    if blocks is not None:
-        blocking = MoveBlocking(blocks, horizon)
-        starts, ends = blocking.starts, blocking.ends
-        tables = {"blocking": blocking.matrix, "constant": blocking.constant(weights)}
-    soft = weights.limits_angle
-    return struct(
-        "hystmpc_law",
-        horizon=horizon,
-        moves=starts.size,
-        blocked=blocks is not None,
-        soft=soft,
-        lower=limits.lower,
-        upper=limits.upper,
-        reach=limits.rate * dt,
-        rate_weight=weights.rate,
-        effort_weight=weights.effort,
-        soft_weight=weights.soft_limit if soft else 0.0,
-        tracking=weights.over(horizon),
-        starts=starts,
-        ends=ends,
-        **tables,
     )
 
 

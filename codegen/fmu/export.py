@@ -153,7 +153,7 @@ def export_fmu(
         described,
         {**{path: text.encode() for path, text in files.items()}, **{path: made[path] for path in made}},
         tuple(key for key, platform in PLATFORMS.items() if platform.path(described.identifier, version) in made),
-        functions_called(code),
+        functions_called(code.code.tolist()),
     )
 
 

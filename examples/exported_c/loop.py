@@ -25,7 +25,10 @@ class Command(ctypes.Structure):
         ("departure_deg", REAL),
         ("source", ctypes.c_int),
         ("status", ctypes.c_int),
+        ("fault", ctypes.c_int),
         ("missing", ctypes.c_int),
+        ("planned", ctypes.c_int),
+        ("inverse", ctypes.c_int),
     )
 
 

@@ -3,7 +3,7 @@
     python lab/benchmarks/exported_c.py [--steps 100000] [--case NAME] [--float32] [--repetitions 5]
 
 Both run a closed loop on a device of their own with noise, sensor faults and stops, as in `tests/codegen/`. The C is
-compiled as `realtime.backend: c` compiles it (`codegen.build`). It is called through ctypes, whose call is part of its
+compiled for this machine. It is called through ctypes, whose call is part of its
 time. These times are processor time.
 
 Then a C program takes the same steps again and times each one by the monotonic clock. Its commands have to be equal.
@@ -29,13 +29,14 @@ from kit import asked
 
 from hystmpc.codegen import ControllerExport, export_controller
 from hystmpc.codegen.compiler import compiler
-from hystmpc.codegen.library import FLAGS
 from hystmpc.trials.types import Mat
 from tests.codegen.compiled import EXAMPLES, Library
 from tests.codegen.loops import Compared, compare
 from tests.codegen.networks import small_network
 from tests.codegen.test_commands import CASES, PLAIN, tip
 
+FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-fPIC")
+"""For speed on this machine."""
 _PROGRAM = Path(__file__).with_name("replay.c")
 _STEP, _INIT, _STOP = 0.0, 1.0, 2.0  # as in the program
 GRU: dict[str, dict[str, Any]] = {"gru": dict(PLAIN), "gru-that-learns": {}}

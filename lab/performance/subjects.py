@@ -16,7 +16,6 @@ from threadpoolctl import ThreadpoolController
 
 from hystmpc.ctrl.command import Command, CommandLimits
 from hystmpc.ctrl.guarded import GuardedController, GuardedState
-from hystmpc.ctrl.linearised.program import PlanningProblem
 from hystmpc.ctrl.mpc_settings import WeightsSettings
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.export import ExportBundle, export_onnx
@@ -355,21 +354,40 @@ def _catheter(chain: Chain) -> Simulator:
 
 
 @dataclass(frozen=True, eq=False)
+class PlanningProblem:
+    """Problem of one step for a peer, without effort and angle limits.
+
+    Attributes:
+        state: of the predictor (S,), at which the plan starts to act.
+        u_last: the command really sent last [mm or bar].
+        reference: wanted angles of the model (H,) [deg].
+    """
+
+    state: Vec
+    u_last: float
+    reference: Vec
+
+    def cost(self, plan: Vec, angles: Vec) -> float:
+        """Cost with `WEIGHTS` of a plan (H,) with these angles (H,) [deg]."""
+        moves = np.diff(plan, prepend=self.u_last)
+        tracking = WEIGHTS.over(plan.size) * (angles - self.reference) ** 2
+        return float(np.sum(tracking + WEIGHTS.rate * moves**2))
+
+
+@dataclass(frozen=True, eq=False)
 class Instant:
-    """Step of the recorded loop: its inputs, the state from which it predicts, and the resulting command."""
+    """Step of the recorded loop: its inputs and the resulting command."""
 
     state: GuardedState
-    model: Vec
     measured: float
     reference: Vec
     command: Command
 
     @property
     def problem(self) -> PlanningProblem:
-        """Planning problem of this step for a peer; no effort, no angle limits."""
-        wanted = self.reference - self.command.disturbance
-        nothing = np.zeros(wanted.size)
-        return PlanningProblem(self.model, self.state.known.command, wanted, nothing, (-np.inf, np.inf))
+        """Planning problem of this step for a peer."""
+        estimate = self.state.estimate
+        return PlanningProblem(estimate.state, estimate.command, self.reference - self.command.disturbance)
 
 
 def record_scan(controller: GuardedController, subject: Subject) -> list[Instant]:
@@ -381,7 +399,7 @@ def record_scan(controller: GuardedController, subject: Subject) -> list[Instant
     for k in range(_SETTLING + subject.scan_samples):
         reference = subject.scan(k + 1, controller.horizon)
         command, following = controller.step(state, y, reference)
-        instants.append(Instant(state, controller.model_state(state), y, reference, command))
+        instants.append(Instant(state, y, reference, command))
         state, y = following, following.estimate.angles[0]
     return instants[_SETTLING:]
 

@@ -50,10 +50,12 @@ def run_sanitized(
 ) -> None:
     """Steps under the sanitizers; where that for addresses has no library, undefined behaviour alone, which traps."""
     export.write(folder)
-    shutil.copy(Path(__file__).with_name(program), folder / "main.c")
+    text = Path(__file__).with_name(program).read_text(encoding="utf-8")
+    (folder / "main.c").write_text(text, encoding="utf-8")
+    files = ["main.c"] if '#include "hystmpc.c"' in text else ["main.c", "hystmpc.c"]
     both = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
     traps = ["-fsanitize=undefined", "-fsanitize-undefined-trap-on-error"]
-    build = [*STRICT, f"-DSTEPS={steps}", *more, "-O1", "-g", "-o", "run", "main.c", "hystmpc.c", "-lm"]
+    build = [*STRICT, f"-DSTEPS={steps}", *more, "-O1", "-g", "-o", "run", *files, "-lm"]
     if not compilers() or tried([*compilers()[0], *both, *build], folder):
         compile_c([*traps, *build], folder)
     done = subprocess.run([folder / "run"], capture_output=True, text=True, timeout=120)
@@ -74,7 +76,7 @@ class Library:
         class Command(ctypes.Structure):
             _fields_ = [
                 *((name, real) for name in ("u", "predicted_deg", "departure_deg")),
-                *((name, ctypes.c_int) for name in ("source", "status", "missing")),
+                *((name, ctypes.c_int) for name in ("source", "status", "fault", "missing", "planned", "inverse")),
             ]
 
         self._library = ctypes.CDLL(str(folder / "controller.so"))
@@ -83,6 +85,7 @@ class Library:
         self._library.hystmpc_stop.argtypes = [ctypes.c_void_p]
         self._library.hystmpc_hurry.argtypes = [ctypes.c_void_p]
         self._library.hystmpc_look_on.argtypes = [ctypes.c_void_p, real, real]
+        self._library.hystmpc_measure.argtypes = [ctypes.c_void_p, real, real]
         self._library.hystmpc_step.argtypes = [ctypes.c_void_p, real, ctypes.c_void_p]
         self._library.hystmpc_step.restype = Command
         self._library.hystmpc_memory_bytes.restype = ctypes.c_ulong
@@ -105,6 +108,9 @@ class Library:
 
     def look_on(self, angle: float, command: float) -> int:
         return int(self._library.hystmpc_look_on(self.memory, angle, command))
+
+    def measure(self, angle: float, age: float) -> int:
+        return int(self._library.hystmpc_measure(self.memory, angle, age))
 
     def hurry(self) -> None:
         self._library.hystmpc_hurry(self.memory)

@@ -1,16 +1,13 @@
 /* Every public function in a random order with odd numbers, on started, refused, zeroed and foreign memory. Each command
  * is finite and within the limits on value, and on rate from the last one sent; what is remembered stays finite. */
-#include "hystmpc.h"
+#include "hystmpc.c" /* not its header alone: what is remembered is looked at */
 
-#include <math.h>
 #include <stdio.h>
-#include <string.h>
 
 #ifndef STEPS
 #define STEPS 3000
 #endif
 
-typedef hystmpc_real real;
 #define COUNT(x) (int)(sizeof(x) / sizeof(real))
 #define MOVE ((real)REACH * (real)(1.0 + (HYSTMPC_SINGLE ? 1e-4 : 1e-12))) /* in a sample at most */
 
@@ -45,30 +42,45 @@ static int finite_all(const void *at, int count) {
     return 1;
 }
 
-static int estimate_finite(const hystmpc_estimate *e) {
-    return finite_all(e->model, COUNT(e->model)) && isfinite(e->command) && finite_all(e->angles, COUNT(e->angles)) &&
-           finite_all(e->moves, COUNT(e->moves)) && isfinite(e->disturbance) && isfinite(e->variance) &&
-           isfinite(e->measured) && finite_all(e->bank, COUNT(e->bank));
+static const hystmpc_head *remembered(hystmpc_memory *m) {
+    hystmpc_memory_at(&exported_problem, memory_of(&controller), m);
+    return m->head;
 }
 
-static int state_finite(const hystmpc_controller *c) {
-    int finite = estimate_finite(&c->estimate) && isfinite(c->due) && finite_all(c->plan, c->planned) &&
-                 finite_all(c->predicted, c->planned);
-#if HYSTMPC_LEARNS
-    const hystmpc_learning *l = &c->learning;
-    const hystmpc_filters *f = &l->filters;
-    finite &= estimate_finite(&c->plain) && finite_all(l->past, COUNT(l->past)) &&
-              finite_all(l->added, COUNT(l->added)) && finite_all(f->z, COUNT(f->z)) &&
-              finite_all(f->covariance, COUNT(f->covariance)) && finite_all(f->frozen, COUNT(f->frozen)) &&
-              finite_all(f->sums, COUNT(f->sums)) && finite_all(f->scores, COUNT(f->scores)) &&
-              isfinite(f->forecast_error) && isfinite(f->share);
-#endif
-#if HYSTMPC_SUPERVISED
-    const hystmpc_feedback *b = &c->feedback;
-    if (b->level) finite &= isfinite(b->integral) && isfinite(b->speed) && isfinite(b->angle) && isfinite(b->age);
-    if (b->level == 1) finite &= isfinite(b->u_alone) && isfinite(b->followed) && isfinite(b->error);
-#endif
-    return finite;
+static int stopped(void) {
+    hystmpc_memory m;
+    return remembered(&m)->stopped;
+}
+
+static int estimate_finite(const hystmpc_estimate *e, int states) {
+    const hystmpc_sensing *s = exported_problem.sensing;
+    const hystmpc_noise *n = s->noise;
+    const hystmpc_known *k = e->known;
+    const int entries = states ? s->delay + 1 : 0;
+    return isfinite(k->command) && isfinite(k->disturbance) && isfinite(k->variance) && isfinite(k->measured) &&
+           finite_all(e->model, states) && finite_all(e->angles, entries) && finite_all(e->moves, entries) &&
+           (!n || finite_all(e->bank, 3 * n->sensors * n->drifts * n->motions));
+}
+
+static int learning_finite(const hystmpc_learning *l, const hystmpc_learner *n) {
+    const hystmpc_filters *f = l->filters;
+    return finite_all(l->past, hystmpc_numbers_past(n)) && finite_all(l->added, n->delay + 1) &&
+           finite_all(f->z, COUNT(f->z)) && finite_all(f->covariance, COUNT(f->covariance)) &&
+           finite_all(f->frozen, COUNT(f->frozen)) && finite_all(f->sums, COUNT(f->sums)) &&
+           finite_all(f->scores, COUNT(f->scores)) && isfinite(f->forecast_error) && isfinite(f->share);
+}
+
+static int state_finite(void) {
+    const hystmpc_model *model = exported_problem.model;
+    const int states = model ? model->predictor->states : 0;
+    hystmpc_memory m;
+    const hystmpc_head *h = remembered(&m);
+    int finite = isfinite(h->due) && finite_all(m.plan, h->planned) && finite_all(m.predicted, h->planned) &&
+                 finite_all(m.fed, h->fed) && finite_all(m.due, h->dues) && isfinite(h->integral) &&
+                 isfinite(h->speed) && isfinite(h->angle) && isfinite(h->age);
+    if (!model || !model->learner) return finite && estimate_finite(&m.observed.now, states);
+    return finite && estimate_finite(&m.observed.now, 0) && estimate_finite(&m.observed.alone, states) &&
+           learning_finite(&m.observed.learning, model->learner);
 }
 
 static int admissible(real u) { return LOW <= u && u <= HIGH; }
@@ -82,6 +94,7 @@ static int stands_still(hystmpc_controller *c, real held) {
         if (below(2)) hystmpc_stop(c);
         if (below(2)) hystmpc_hurry(c);
         if (below(2)) hystmpc_set_target(c, any(30, 80));
+        if (below(2) && hystmpc_measure(c, any(30, 80), any(0, 5))) return 0;
         if (below(2) && hystmpc_look_on(c, any(30, 80), any(LOW, HIGH)) == 0) return 0;
         const hystmpc_command next = hystmpc_step(c, any(30, 80), below(2) ? reference : NULL);
         if (next.source != HYSTMPC_STOP || next.status != HYSTMPC_LATCHED || !admissible(next.u)) return 0;
@@ -129,13 +142,17 @@ int main(int count, char **words) {
             if (hystmpc_look_on(&controller, below(3) ? angle : any(0, 120), sent)) return 3;
             if (isfinite(sent)) last = nearest(sent);
         } else if (what < 110) {
+            const real age = between(-1, 30);
+            const int used = hystmpc_measure(&controller, below(3) ? angle : any(0, 120), any(0, 1) + age);
+            if (used && exported_problem.sensing->sensor != HYSTMPC_FRAMES) return 9;
+        } else if (what < 120) {
             const real held = below(3) ? any(LOW, HIGH) : last;
             const int refused = hystmpc_init(&controller, below(3) ? angle : any(0, 120), held);
             if (!refused) last = held;
-            if (!refused != !controller.stopped) return 4;
+            if (!refused != !stopped()) return 4;
             started_again += !refused;
         }
-        if (controller.stopped && below(60) == 0 && !hystmpc_init(&controller, angle, last)) started_again++;
+        if (stopped() && below(60) == 0 && !hystmpc_init(&controller, angle, last)) started_again++;
         angle += (real)0.4 * ((real)(28.0 + 10.0 * (double)last) - angle);
         for (int j = 0; j < HYSTMPC_REFERENCE; j++) reference[j] = target;
         if (below(50) == 0) reference[below(HYSTMPC_REFERENCE)] = any(20, 90);
@@ -143,9 +160,9 @@ int main(int count, char **words) {
         const real measured = walking || below(12) ? angle + walked + between(-1, 1) / 5 : any(-200, 200);
         const hystmpc_command next = hystmpc_step(&controller, measured, below(5) ? reference : NULL);
         if (!admissible(next.u) || !(next.u <= last + MOVE && next.u >= last - MOVE)) return 5;
-        if (!isfinite(next.predicted_deg) || !isfinite(next.departure_deg)) return 6;
-        if (!state_finite(&controller)) return 7;
-        if (controller.stopped != (next.source == HYSTMPC_STOP)) return 8;
+        if (!isfinite(next.departure_deg) || !isfinite(next.predicted_deg) != !exported_problem.model) return 6;
+        if (!state_finite()) return 7;
+        if (stopped() != (next.source == HYSTMPC_STOP)) return 8;
         last = next.u;
     }
     printf("%d steps\n", started_again > 5 ? STEPS : 0);

@@ -11,9 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from hystmpc.ctrl.command import attempt
 from hystmpc.ctrl.planner.settings import assemble, read_settings
 from hystmpc.models.inverse.drive import Drive
 from hystmpc.models.load import load_model, model_path
+from hystmpc.models.model import Predictor
 from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.prediction.build import SeriesPredictor, predictor_for
 from hystmpc.trials.types import Vec
@@ -71,14 +73,34 @@ def faults(samples: int, random: np.random.Generator) -> Vec:
     return found
 
 
+def _device(lag_s: float) -> Predictor:
+    """The device of either loop, behind a lag [s] where it is not zero."""
+    model = load_model(model_path("builtin:tendon-catheter", EXAMPLES), start="conditioned")
+    device = predictor_for(model)
+    return SeriesPredictor(Drive((Lag(lag_s),), model.metadata), device) if lag_s else device
+
+
+def _framed(controller: Any, state: Any, c: Library, given: list[float], k: int) -> tuple[Any, list[float]]:
+    """The state after a frame of some samples ago, and no angles; both say the same of one that cannot be used."""
+    age, nothing = 0.5 * (k % 11), [np.nan] * 2
+    if k % 7:
+        return state, nothing
+    after, refused = attempt(lambda: controller.measure(state, given[0], age))
+    assert c.measure(given[1], age) == (not refused)
+    return after or state, nothing
+
+
 def compare(
     settings: Mapping[str, Any], c: Library, samples: int, lag_s: float = 0.0, noise_deg: float = 0.1, seed: int = 1
 ) -> Compared:
-    """Both controllers over a motion; a stop is asked for now and then, and released 30 samples later."""
-    random, controller = np.random.default_rng(seed), assemble(read_settings(settings)[0], EXAMPLES).controller
-    model = load_model(model_path("builtin:tendon-catheter", EXAMPLES), start="conditioned")
-    device = predictor_for(model)
-    device = SeriesPredictor(Drive((Lag(lag_s),), model.metadata), device) if lag_s else device
+    """Both controllers over a motion; a stop is asked for now and then, and released 30 samples later.
+
+    A frame of an intermittent sensor comes late in every seventh sample, or not at all; steps are given no angle then.
+    """
+    read = read_settings(settings)[0]
+    random, controller = np.random.default_rng(seed), assemble(read, EXAMPLES).controller
+    frames = read.controller.resolved().estimator.sensor == "intermittent"
+    device = _device(lag_s)
     wanted = motion(samples + controller.horizon, controller.dt, random)
     fault, noise = faults(samples, random), random.normal(0.0, noise_deg, samples)
     states = [device.initial(START_DEG, START)] * 2
@@ -90,19 +112,20 @@ def compare(
         if k % 700 == 699:
             state = controller.stop(state, "asked for")
             c.stop()
-        since = since + 1 if state.fallback.stopped else 0
+        since = since + 1 if state.stopped else 0
         if since == 30:
             since = 0
             state = controller.init(angles[0], float(sent[k - 1, 0]))
             assert c.init(angles[1], float(sent[k - 1, 1])) == 0
         reference = wanted[k : k + controller.horizon].copy()
         if k % 301 == 300:
-            reference[3] = np.nan
+            reference[min(3, reference.size - 1)] = np.nan
         shift = noise[k] + 2.0 * np.sin(0.003 * k)  # of the sensor
         given = {_NONE: [np.nan] * 2, _FAR: [500.0] * 2, _STUCK: list(seen)}.get(
             int(fault[k]), [angle + shift for angle in angles]
         )
         seen = given if fault[k] == 0 else seen
+        state, given = _framed(controller, state, c, given, k) if frames else (state, given)
         given_c = c.vector(reference)
         before = thread_time()
         command, state = controller.step(state, given[0], reference)

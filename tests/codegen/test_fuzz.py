@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import math
-import re
 import subprocess
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,10 +14,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.codegen import ControllerExport, export_controller
+from hystmpc.core.structs import layout
 
 from .compiled import EXAMPLES, SOURCES, Library, compile_c, compilers, library, run_sanitized, tried
 from .networks import small_network
-from .test_commands import ANYTHING, CASES, PLAIN, START, START_DEG, tip
+from .test_commands import ANYTHING, CASES, PLAIN, START, START_DEG, tip, tip_of
 
 pytestmark = pytest.mark.slow  # seconds together
 
@@ -31,6 +31,10 @@ FUZZED: Mapping[str, tuple[dict[str, Any], bool]] = {
         name: (CASES[name][0], False) for name in ("lag-of-the-settings", "transport-delay", "no-sensor", "soft-limits")
     },
     "single-learns": (CASES["feedback-takes-over"][0], True),  # the part is one text in either precision
+    "frames": (tip("builtin:pi", **PLAIN, estimator={"sensor": "intermittent", "oldest_frame_s": 0.4}), False),
+    "random-plans": (tip_of("builtin:pi", "sampling_mpc", **PLAIN, samples=40), True),
+    "inverse-and-pid": (tip_of("builtin:auto", "inverse_pid"), False),
+    "pid": (tip_of("builtin:pi", "pid"), True),
     "single-with-limits": (LIMITED, True),
     "single-one-filter": (tip("builtin:pi", **PLAIN, estimator=ONE_FILTER), True),
 }
@@ -38,9 +42,7 @@ FUZZED: Mapping[str, tuple[dict[str, Any], bool]] = {
 
 def reach_of(export: ControllerExport) -> str:
     """The greatest move of a sample, as a macro for the program."""
-    found = re.search(r"HYSTMPC_REACH R\((.*)\)", export.source)
-    assert found is not None
-    return f"-DREACH={found[1]}"
+    return f"-DREACH={export.problem.fields['reach']!r}"
 
 
 def fuzz(settings_: Mapping[str, Any], single: bool, folder: Path, steps: int) -> None:
@@ -158,10 +160,10 @@ def test_a_sensor_that_walks_away_leaves_a_finite_state(tmp_path: Path) -> None:
 
 def test_counts_of_samples_do_not_run_over(made: Library) -> None:
     """At 1 kHz an int is full after 24 days without a sensor."""
-    kind = export_controller(LIMITED, folder=EXAMPLES).structs["hystmpc_controller"]
     assert made.init(START_DEG, START) == 0
     made.stop()
-    kind.from_buffer(made.memory).estimate.missing = 999_999_999  # type: ignore[attr-defined]  # a ctypes struct
+    head = ctypes.sizeof(layout("hystmpc_head"))
+    layout("hystmpc_known").from_buffer(made.memory, -(-head // 8) * 8).missing = 999_999_999  # type: ignore[attr-defined]
     assert [made.step(math.nan).missing for _ in range(3)] == [1_000_000_000] * 3
 
 
@@ -200,5 +202,5 @@ def test_the_program_that_calls_at_random_finds_commands_beyond_the_rate(tmp_pat
     program = Path(__file__).with_name("fuzzed.c").read_text(encoding="utf-8")
     (tmp_path / "main.c").write_text(program, encoding="utf-8")
     for reach, wanted in ((REACH, 0), (0.5 * REACH, 5)):
-        compile_c(["-std=c99", f"-DREACH={reach!r}", "-O1", "-o", "run", "main.c", "hystmpc.c", "-lm"], tmp_path)
+        compile_c(["-std=c99", f"-DREACH={reach!r}", "-O1", "-o", "run", "main.c", "-lm"], tmp_path)
         assert subprocess.run([tmp_path / "run"], capture_output=True, timeout=60, check=False).returncode == wanted

@@ -10,9 +10,9 @@ import pytest
 from hystmpc.codegen import export_controller
 from hystmpc.trials.errors import ExportError
 
-from .compiled import NETWORK, STRICT, compilers, library, run_sanitized, tried
+from .compiled import NETWORK, STRICT, Library, compilers, library, run_sanitized, tried
 from .loops import compare
-from .networks import small_network
+from .networks import Way, connected_network, gated_network, small_network
 from .test_commands import PLAIN, SAME, tip
 
 # One, two and three layers, of fewer units than a vector, of more, of a whole vector; two of 64 with every part below.
@@ -65,13 +65,43 @@ def test_every_compiler_takes_a_network_without_a_warning(kind: str, single: boo
 
 
 def test_the_weights_take_the_room_that_they_need(tmp_path: Path) -> None:
-    """Four gates of 16 units each: bias, input and outputs of the layer itself, and of the layer below."""
+    """Four gates of 8 units each: bias, input and outputs of the layer itself, and of the layer below; the head."""
     source = export_controller(tip(small_network("lstm", 5, 2, tmp_path), **PLAIN)).source
-    assert f"hystmpc_weights[{64 * (2 + 16) + 64 * (1 + 2 * 16)}]" in source
-    assert "hystmpc_head[16]" in source
+    assert "#define HYSTMPC_LANES 8" in source
+    assert f"struct {{ hystmpc_network head; float numbers[{32 * (2 + 8) + 32 * (1 + 2 * 8) + 8 + 1}]; }}" in source
+
+
+def test_a_controller_without_a_network_needs_no_vectors() -> None:
+    assert "#define HYSTMPC_LANES 1" in export_controller(tip("builtin:pi")).source
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lanes", [1, 4])
+def test_commands_do_not_depend_on_how_weights_are_packed(lanes: int, tmp_path: Path) -> None:
+    settings = tip(small_network("gru", 12, 1, tmp_path), **PLAIN)
+    made = Library(export_controller(settings, lanes=lanes), tmp_path)
+    assert compare(settings, made, 100, seed=2).greatest <= SAME
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sensor", ["continuous", "intermittent"])
+def test_commands_are_those_of_python_for_a_gated_lstm(sensor: str, tmp_path: Path) -> None:
+    settings = tip(gated_network(tmp_path), estimator={"sensor": sensor})
+    found = compare(settings, library(settings, tmp_path), 200, seed=2)
+    assert found.greatest <= SAME
+    assert found.same_sources
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ways", [("series",), ("parallel",), ("series", "parallel")], ids="-".join)
+def test_commands_are_those_of_python_for_connected_networks(ways: tuple[Way, ...], tmp_path: Path) -> None:
+    settings = tip(connected_network(ways, tmp_path), **PLAIN)
+    found = compare(settings, library(settings, tmp_path), 200, 0.08, seed=2)
+    assert found.greatest <= SAME
+    assert found.same_sources
 
 
 def test_a_network_without_c_is_refused_in_a_line(tmp_path: Path) -> None:
-    line = "export-c: got a model of kind hb1 in an .onnx file, supported are"
+    line = "export-c: got a model of kind hb1 with .* computed by Python, supported are"
     with pytest.raises(ExportError, match=line):
         export_controller(tip(small_network("lstm", 5, 1, tmp_path, "hb1")))

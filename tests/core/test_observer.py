@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -480,62 +479,3 @@ def test_a_change_of_weights_makes_no_jump(delay: int) -> None:
         device.step(math.nan, u)
     assert watch.look()["forecast_error"] > 0.0
     assert max(np.abs(np.diff(added))) > 1.0
-
-
-def outside(functions: dict[str, Callable[..., int]]) -> Watch:
-    """An observer written in Python."""
-    part = struct("hystmpc_observer_outside", **functions)
-    sensing = struct("hystmpc_sensing", sensor=C["HYSTMPC_OBSERVED"], delay=1, outside=part)
-    watch = Watch(sensing, struct("hystmpc_model", predictor=LINEAR.predictor.part))
-    assert watch.init(np.array([20.0]), 21.0, 0.5) == 0
-    return watch
-
-
-def _at(address: int, count: int) -> Vec:
-    return np.ctypeslib.as_array((ctypes.c_double * count).from_address(address))
-
-
-def test_an_observer_written_in_python_writes_what_it_knows() -> None:
-    def corrected(known: int, x: int, angles: int, y: float) -> int:
-        layout("hystmpc_known").from_address(known).disturbance = y - _at(angles, 2)[0]
-        return 0
-
-    def corrected_late(known: int, x: int, angles: int, y: float, age: float) -> int:
-        layout("hystmpc_known").from_address(known).measured = y + age
-        return 0
-
-    def advanced(known: int, x: int, angles: int, u: float) -> int:
-        layout("hystmpc_known").from_address(known).command = u
-        _at(x, 1)[:] += u
-        _at(angles, 2)[:] = u
-        return 0
-
-    watch = outside({"correct": corrected, "correct_late": corrected_late, "advance": advanced})
-    assert watch.look()["x"] == 20.0
-    assert (watch.look()["angles"] == 21.0).all()
-    watch.step(23.0, 3.0)
-    assert watch.late(30.0, 0.5)
-    now = watch.look()
-    assert (now["disturbance"], now["command"], now["x"][0], now["measured"]) == (2.0, 3.0, 23.0, 30.5)
-    assert (now["angles"] == 3.0).all()
-
-
-def test_one_that_fails_leaves_what_was_known() -> None:
-    def fails(known: int, x: int, angles: int, *rest: float) -> int:
-        layout("hystmpc_known").from_address(known).disturbance = 99.0
-        return 1
-
-    def spoils(known: int, x: int, angles: int, *rest: float) -> int:
-        _at(x, 1)[:] = _at(angles, 2)[:2].max() + math.nan
-        return fails(known, x, angles)
-
-    watch = outside({"correct": fails, "correct_late": spoils, "advance": spoils})
-    before = watch.look()
-    watch.correct(23.0)
-    assert not watch.late(23.0, 1.0)
-    same(before, watch.look(), but=COUNTS)
-    assert watch.look()["missing"] == 1
-    watch.advance(3.0)
-    watch.advance(4.0)
-    same(before, watch.look(), but=(*COUNTS, "stalled", "command"))
-    assert (watch.look()["stalled"], watch.look()["command"]) == (2, 4.0)
