@@ -12,7 +12,7 @@ from importlib import resources
 from importlib.metadata import version as version_of
 from pathlib import Path
 from types import MappingProxyType
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -159,7 +159,7 @@ def export_fmu(
 
 def _chain_code(simulator: Simulator) -> ChainCode:
     """The simulator's operators as numbers, without their states at rest: that at the start is known."""
-    none = {"rest": np.empty(0, dtype=np.intc), "rest_constants": np.empty(0)}
+    none: dict[str, Any] = {"rest": np.empty(0, dtype=np.intc), "rest_constants": np.empty(0)}
     return ChainCode([replace(operator_program(operator), **none) for operator in simulator.chain.operators])
 
 
