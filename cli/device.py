@@ -53,7 +53,7 @@ def run(call: Call) -> None:
     meta = RecordingMeta(
         settings.command_unit,
         models=() if model.startswith("builtin:") else (Path(model),),
-        stages=("estimate", "law", "advance", "total", "execution"),
+        stages=("step", "total", "execution"),
     )
     result = run_experiment(
         settings,

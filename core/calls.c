@@ -1,40 +1,6 @@
 /* What Python calls: arrays unpacked, then the functions that an exported controller has too. */
 #include "calls.h"
 
-static hystmpc_noise noise_of_numbers(const real *numbers) {
-    const real *table = numbers + 6;
-    hystmpc_noise n;
-    n.sensors = (int)numbers[0];
-    n.drifts = (int)numbers[1];
-    n.motions = (int)numbers[2];
-    n.switching = numbers[3];
-    n.most_gain = numbers[4];
-    n.limit = numbers[5];
-    n.sensor_variances = table;
-    n.drift_variances = table += n.sensors;
-    n.motion_variances = table += n.drifts;
-    n.by_sensor = table += n.motions;
-    n.by_model = table += n.sensors;
-    n.first_variances = table += n.drifts * n.motions;
-    n.most_variances = table + n.drifts * n.motions;
-    return n;
-}
-
-real hystmpc_bank_init(const void *noise, real *bank, real disturbance) {
-    const hystmpc_noise n = noise_of_numbers(noise);
-    return hystmpc_noise_init(&n, bank, disturbance);
-}
-
-real hystmpc_bank_correct(const void *noise, real *bank, real offset, real *mean) {
-    const hystmpc_noise n = noise_of_numbers(noise);
-    return hystmpc_noise_correct(&n, bank, offset, mean);
-}
-
-real hystmpc_bank_advance(const void *noise, real *bank, real travel, real mean) {
-    const hystmpc_noise n = noise_of_numbers(noise);
-    return hystmpc_noise_advance(&n, bank, travel, mean);
-}
-
 void hystmpc_filters_init(const hystmpc_learner *n, real *past, real *filters, real angle, real u, real y) {
     hystmpc_learning_init(n, past, (hystmpc_filters *)(void *)filters, angle, u, y);
 }
@@ -51,28 +17,6 @@ void hystmpc_filters_state(const hystmpc_learner *n, const real *past, const rea
     real *angles = part + sizeof(hystmpc_learned) / sizeof(real);
     hystmpc_learning_added(n, past, l, angles, angles);
     hystmpc_learning_state(n, past, l, (hystmpc_learned *)(void *)part);
-}
-
-void hystmpc_part_run(const hystmpc_basis *b, const real *part, const real *plans, int count, int samples,
-                      real *angles) {
-    const hystmpc_learned *s = (const hystmpc_learned *)(const void *)part;
-    for (int n = 0; n < count; n++, plans += samples, angles += samples)
-        hystmpc_add_learned(b, s, plans, samples, angles);
-}
-
-void hystmpc_part_linearise(const hystmpc_basis *b, const real *part, const real *plan, int samples,
-                            real *block) {
-    const hystmpc_learned *s = (const hystmpc_learned *)(const void *)part;
-    real *jacobian = block + samples;
-    hystmpc_add_learned(b, s, plan, samples, block);
-    hystmpc_add_slopes(b, s, plan, samples, jacobian, jacobian + samples * samples);
-}
-
-real hystmpc_part_advance(const hystmpc_basis *b, real *part, real u, real angle) {
-    hystmpc_learned *s = (hystmpc_learned *)(void *)part;
-    hystmpc_add_learned(b, s, &u, 1, &angle);
-    hystmpc_learned_advance(b, s, u);
-    return angle;
 }
 
 void hystmpc_learning_bytes(int *bytes) {

@@ -20,6 +20,23 @@ Whole = NDArray[np.intc]
 
 _local = threading.local()
 
+_REGISTERS = 9  # place of that number in a table
+_OF_REST, _OF_STAGE = 32, 64
+_FAULTS = (
+    "parts within the block",
+    "counts from zero, or one, to a million",
+    "states, parameters, kept values and constants of all stages in turn",
+    "signals that are written once, before they are read",
+    "as many rows and registers as are used",
+    "operations of the list",
+    "rows and registers that are there",
+    "results apart from arguments",
+    "slopes by what is there",
+    "every state in one group",
+    "a state at rest of the same operator",
+)
+"""What a block has to have, in the order of the faults in `check.h`."""
+
 
 @dataclass(frozen=True, eq=False)
 class StageProgram:
@@ -53,6 +70,9 @@ class ChainCode:
         wires: signals that each stage reads and those that it writes; signal 0 and the next ones are the commands. In
             series where left out.
         shown: signals that are outputs; the last stage's where left out.
+
+    Raises:
+        ValueError: if the numbers of a stage would lead the engine out of its memory.
     """
 
     def __init__(
@@ -72,15 +92,22 @@ class ChainCode:
         self.stages = tuple(stages)
         self.code, self.constants = _block(stages, wires, shown, signals, self)
         self.functions: Any = engine()
-        self._registers = max((stage.registers for stage in stages), default=0)
+        _check(self.functions.chain_check(self.code, self.code.size, self.constants.size))
+        self._registers = max((int(stage.table[_REGISTERS]) for stage in stages), default=0)
         self._single = int(self.functions.chain_single_bytes(self.code))
-        self._rest_room = [
-            int(self.functions.chain_rest_room(self.code, k)) for k, s in enumerate(stages) if s.rest.size
-        ]
+        self._rest_room = {
+            k: int(self.functions.chain_rest_room(self.code, k)) for k, s in enumerate(stages) if s.rest.size
+        }
         self._known_bytes: dict[tuple[int, ...], int] = {}
 
     def prepare(self, parameters: Array, dt_s: float) -> Array:
-        """Values (K, N) that parameters (P, N) and sample time [s] alone decide."""
+        """Values (K, N) that parameters (P, N) and sample time [s] alone decide.
+
+        Raises:
+            ValueError: if there are more parameters, or fewer.
+        """
+        if parameters.shape[0] != self.parameters:
+            raise ValueError(f"chain: got {parameters.shape[0]} parameters, expected {self.parameters}")
         kept = np.empty((self.kept, parameters.shape[1]))
         room = np.empty(self._registers)
         self.functions.chain_prepare(self.code, self.constants, parameters, parameters.shape[1], dt_s, kept, room)
@@ -179,16 +206,12 @@ class ChainCode:
         memory = _memory(self._single)
         return float(self.functions.chain_command_for(self.code, kept, state, wanted, low, high, last, memory))
 
-    def lead(
-        self, kept: Array, state: Array, wanted: Array, last: float, reach: float, numbers: Array
-    ) -> tuple[Array, Array, int]:
-        """Inputs (H,) whose outputs come closest to `wanted` (H,), these outputs, and the first that they change."""
+    def lead(self, kept: Array, state: Array, wanted: Array, last: float, reach: float) -> tuple[Array, Array]:
+        """Inputs (H,) whose outputs come closest to `wanted` (H,), and these outputs; see `follow.h`."""
         inputs, outputs = np.empty((2, wanted.size))
         memory = _memory(self.functions.lead_drive_bytes(self.code, wanted.size))
-        first = self.functions.lead_drive(
-            self.code, kept, state, wanted, wanted.size, last, reach, numbers, inputs, outputs, memory
-        )
-        return inputs, outputs, int(first)
+        self.functions.lead_drive(self.code, kept, state, wanted, wanted.size, last, reach, inputs, outputs, memory)
+        return inputs, outputs
 
 
 @final
@@ -201,10 +224,13 @@ class PreparedChain:
         dt_s: sample time [s].
 
     Raises:
-        ValueError: by each method, if a state is of another size: the engine does not look where memory ends.
+        ValueError: for a chain of several inputs or outputs, or of other parameters; by each method, if a state is of
+            another size: the engine does not look where memory ends.
     """
 
     def __init__(self, code: ChainCode, parameters: Array, dt_s: float) -> None:
+        if (code.inputs, code.outputs) != (1, 1):
+            raise ValueError(f"chain: got {code.inputs} inputs and {code.outputs} outputs, expected one of each")
         self.code = code
         self.kept = code.prepare(np.array(parameters, dtype=np.float64).reshape(-1, 1), dt_s)
 
@@ -231,14 +257,14 @@ class PreparedChain:
         """Command in [low, high] whose next output is `wanted`."""
         return self.code.command_for(self.kept, self._checked(state), wanted, low, high, last)
 
-    def lead(self, state: Array, wanted: Array, last: float, reach: float, numbers: Array) -> tuple[Array, Array, int]:
+    def lead(self, state: Array, wanted: Array, last: float, reach: float) -> tuple[Array, Array]:
         """Inputs (H,) that lead a drive along `wanted` (H,), see `ChainCode.lead`."""
-        return self.code.lead(self.kept, self._checked(state), _doubles(wanted), last, reach, numbers)
+        return self.code.lead(self.kept, self._checked(state), _doubles(wanted), last, reach)
 
-    def _checked(self, state: Array, of_network: int = 0) -> Array:
-        """State (S,), with so many numbers of a network beside it, as the engine reads it."""
-        if state.shape != (self.code.states + of_network,):
-            raise ValueError(f"state: got shape {state.shape}, expected ({self.code.states + of_network},)")
+    def _checked(self, state: Array) -> Array:
+        """State (S,) as the engine reads it."""
+        if state.shape != (self.code.states,):
+            raise ValueError(f"state: got shape {state.shape}, expected ({self.code.states},)")
         return _doubles(state)
 
 
@@ -272,6 +298,12 @@ def _block(
         c += stage.constants.size + stage.rest_constants.size
     code = np.concatenate([np.array([*head, *places]), *tail]).astype(np.intc)
     return code, np.concatenate(constants)
+
+
+def _check(fault: int) -> None:
+    if fault:
+        kind, place = fault % _OF_REST, "at rest" if fault % _OF_STAGE >= _OF_REST else "step"
+        raise ValueError(f"chain: got a stage {fault // _OF_STAGE} ({place}) without {_FAULTS[kind - 1]}")
 
 
 def _strides(*numbers: int) -> Whole:

@@ -37,7 +37,7 @@ enum {
     HYSTMPC_FAILED = 9         /* a function from outside has failed */
 };
 
-/* Hold at a constant reference, see `HoldRule` in ctrl/mpc.py. */
+/* Hold at a constant reference, see `HoldSettings` in ctrl/mpc_settings.py. */
 typedef struct {
     real tolerance;  /* [deg] */
     real step;       /* resolution of the sensor [deg] */

@@ -16,14 +16,11 @@ HYSTMPC_API void hystmpc_follow(const int *chain, const real *kept, const hystmp
                                 real *plans, char *memory);
 HYSTMPC_API long hystmpc_follow_bytes(const int *chain, const hystmpc_network *network);
 
-/* Inputs (H) whose outputs (H) come closest to `wanted`; answers the first output sample that the inputs change.
+/* Inputs (H) whose outputs (H) come closest to `wanted`.
  *
- *     min_m  sum_k (v_k(u) - w_k)^2 + eps sum_k m_k^2   s.t.  |m_k| <= reach,   u_k = u_{k-1} + m_k
- *
- * numbers: eps; linearisations; share of the outputs' change that the linearisation may miss. */
-HYSTMPC_API int hystmpc_lead_drive(const int *chain, const real *kept, const real *x, const real *wanted, int samples,
-                                   real last, real reach, const real *numbers, real *inputs, real *outputs,
-                                   char *memory);
+ *     min_m  sum_k (v_k(u) - w_k)^2 + eps sum_k m_k^2   s.t.  |m_k| <= reach,   u_k = u_{k-1} + m_k */
+HYSTMPC_API void hystmpc_lead_drive(const int *chain, const real *kept, const real *x, const real *wanted, int samples,
+                                    real last, real reach, real *inputs, real *outputs, char *memory);
 HYSTMPC_API long hystmpc_lead_drive_bytes(const int *chain, int samples);
 
 #endif

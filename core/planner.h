@@ -15,7 +15,7 @@ enum {
     HYSTMPC_CROSS_ENTROPY = 3  /* Pinneri et al., CoRL 2020, algorithm 1 */
 };
 
-/* Distribution of random plans u = p + sigma M F w, w standard normal; see ctrl/sampling.py. */
+/* Distribution of random plans u = p + sigma M F w, w standard normal; see random_plans.c. */
 typedef struct {
     int samples;         /* N */
     int size;            /* m: normals of a plan */

@@ -4,11 +4,6 @@
 #include "predictor.h"
 #include "room.h"
 
-/* Drives: weight of a squared move of the input against a squared deviation of the output; linearisations; share of the
- * outputs' change that the linearisation may miss. */
-static const real preview_drive[3] = {R(1e-3), R(3.0), R(1e-6)};
-static const real preview_free = R(1e9); /* bound of moves that have none */
-
 static long preview_command_bytes(const hystmpc_inverse *v) {
     while (v->kind == HYSTMPC_COMPANION || v->kind == HYSTMPC_DRIVEN) v = v->inner;
     return ROOM_LINE + (v->kind == HYSTMPC_EXACT ? hystmpc_chain_single_bytes(v->predictor->chain) : 0L);
@@ -109,8 +104,7 @@ static int preview_any(const preview_task *t, real reach, real *plans, char *roo
 /* Inputs (H) of a drive in the state x whose outputs come closest to `wanted` (H). */
 static void preview_lead(const hystmpc_predictor *drive, const real *x, const real *wanted, int samples, real u_last,
                          real reach, real *inputs, real *outputs, char *room) {
-    (void)hystmpc_lead_drive(drive->chain, drive->kept, x, wanted, samples, u_last, least(reach, preview_free),
-                             preview_drive, inputs, outputs, room);
+    hystmpc_lead_drive(drive->chain, drive->kept, x, wanted, samples, u_last, reach, inputs, outputs, room);
 }
 
 /* With dynamics before and behind the model: first the travel is planned, then the commands whose drive follows it

@@ -7,7 +7,9 @@ enum operation {
     OP_NEG, OP_FABS, OP_SIGN, OP_SQRT, OP_SQ, OP_TWICE, OP_INV, OP_NOT, OP_EXP, OP_LOG, OP_TANH, OP_SIN, OP_COS, OP_FLOOR, OP_ASSIGN, OP_SELECT
 };
 
-enum { CODE_WORDS = 5, CODE_ABREAST = 4 };
+typedef char code_kinds_are_all[OP_SELECT + 1 == CODE_KINDS ? 1 : -1];
+
+enum { CODE_ABREAST = 4 };
 
 /* The value of one instruction by its arguments a, b, c. Conditions are numbers, 1 or 0, as in CasADi. */
 #define CODE_OPERATIONS(DO)                                  \

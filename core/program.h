@@ -24,6 +24,8 @@
 
 enum hystmpc_phase { PHASE_ONCE, PHASE_AHEAD, PHASE_THROUGH, PHASE_BEHIND, PHASE_SLOPES, PHASE_FIXED, PHASE_MOVING, PHASE_REST, PHASES };
 
+enum { CODE_WORDS = 5, CODE_KINDS = 30 }; /* numbers of an instruction; operations */
+
 typedef struct {
     int states, inputs, parameters, outputs;
     int kept;      /* values that parameters and sample time alone decide */

@@ -144,6 +144,7 @@ static void differentiate_stage(direction *d, int samples) {
     for (int o = 0; o < p->outputs; o++) {
         real *to = r->by + (d->s->wires[p->inputs + o] * directions + d->q) * CHAIN_STRIDE;
         int adds = 0;
+        for (int l = 0; l < d->first; l++) to[l] = R(0.0); /* a later stage may begin before its input does */
         for (int q = p->first[p->states + o]; q < p->first[p->states + o + 1]; q++)
             if (term_acts(d, p->slope + 3 * q)) adds = add_term(d, p->slope + 3 * q, to, adds);
         if (!adds)

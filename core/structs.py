@@ -3,7 +3,7 @@
 The declarations of the headers are the only text that says what a struct holds:
 
     law = struct("hystmpc_law", horizon=20, moves=20, tracking=np.ones(20))
-    engine().law_bytes(law.address, 0)
+    engine().law_bytes(law.address)
 """
 
 from __future__ import annotations

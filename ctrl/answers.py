@@ -9,7 +9,6 @@ from hystmpc.core.structs import constants
 
 from .command import Source
 from .feedback import LEVELS
-from .linearised.qp import status_of
 
 _CODES = constants()
 SOURCES: tuple[Source, ...] = (
@@ -22,7 +21,7 @@ SOURCES: tuple[Source, ...] = (
 )
 """Levels of fallback in the order of the engine's HYSTMPC_MPC ... HYSTMPC_STOP."""
 
-OK, FAILED = _CODES["HYSTMPC_OK"], _CODES["HYSTMPC_FAILED"]
+OK, FAILED, NO_SOLUTION = (_CODES[f"HYSTMPC_{name}"] for name in ("OK", "FAILED", "NO_SOLUTION"))
 _REASONS: Mapping[int, str] = {
     _CODES[f"HYSTMPC_{name}"]: text
     for name, text in {
@@ -38,6 +37,10 @@ _REASONS: Mapping[int, str] = {
     }.items()
 }
 _PLANNER: Mapping[int, str] = {
+    _CODES["HYSTMPC_QP_INFEASIBLE"]: "active set: primal infeasible",
+    _CODES["HYSTMPC_QP_NOT_CONVEX"]: "active set: not convex",
+    _CODES["HYSTMPC_QP_NOT_FINITE"]: "active set: solution not finite",
+    _CODES["HYSTMPC_QP_UNFINISHED"]: "active set: maximum changes reached",
     _CODES["HYSTMPC_NO_JACOBIAN"]: "the model's Jacobian is not finite",
     _CODES["HYSTMPC_NO_PROGRAM"]: "the quadratic program is not finite",
     _CODES["HYSTMPC_NO_SAMPLE"]: "no random plan has a finite prediction",
@@ -47,7 +50,7 @@ _PLANNER: Mapping[int, str] = {
 
 def planner_words(fault: int) -> str:
     """Return why a planner has no plan, by its answer."""
-    return _PLANNER.get(fault) or f"active set: {status_of(fault)}"
+    return _PLANNER.get(fault, f"exit flag {fault}")
 
 
 def status_words(
@@ -61,7 +64,8 @@ def status_words(
         forecast_error: relative error of the forecasts.
         stalled: samples for which the model has not advanced, after the step.
         faults: what functions written in Python have raised in this step, in their order: see `core.outside`.
-        more: words that are known outside the engine: cause, reference, stalled (before the step), refusal, unfinished.
+        more: words that are known outside the engine: cause, reference, stalled (before the step), refusal, unfinished;
+            planner, where Python solves its programs.
     """
     source, notes, raised = SOURCES[answer.source], [], iter(faults)
     if answer.status != OK:

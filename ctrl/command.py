@@ -88,15 +88,6 @@ class ControlInput:
     forecast_error: float = 0.0  # forecast error relative to that of no change, see `Estimate`
 
 
-@dataclass(frozen=True, eq=False)
-class CommandPlan:
-    """Planned admissible commands (H,), the model's angles along them (H,) [deg], and their cost."""
-
-    commands: Vec
-    angles: Vec
-    cost: float
-
-
 @final
 class Stopwatch:
     """Stopwatch for the stages of one step, the only clock read by a controller."""

@@ -20,7 +20,7 @@ from hystmpc.trials.brief import brief, in_brief
 from hystmpc.trials.errors import ControllerError, HystmpcError, shown
 from hystmpc.trials.types import Index, Vec
 
-from .answers import SOURCES, status_words
+from .answers import NO_SOLUTION, SOURCES, status_words
 from .command import EMPTY, Command, CommandLimits, Timing, number_of, numbers_of
 from .estimation.observer import ANGLE_BOUND_DEG, Bytes, Estimate, Observer, Places, read_estimate, usable_angle
 from .law import Law, LawPart
@@ -173,6 +173,7 @@ class GuardedController(HoldsAddresses):
     def _begun(self, angle: float, held: float) -> GuardedState:
         memory = np.zeros(self._bytes, dtype=np.uint8)
         x = None if self._rest is None else np.ascontiguousarray(self._rest(angle, held), dtype=np.float64)
+        forget_faults()
         answer = self._engine.controller_init(self._address, memory, x, angle, held, self._room)
         if error := raised_last():
             raise error
@@ -195,6 +196,7 @@ class GuardedController(HoldsAddresses):
         first = int(self.usable_in(commands, angles)[0])
         state = self.init(float(angles[first]), float(commands[max(first - 1, 0)]))
         memory, room = state.memory.copy(), self._room
+        forget_faults()
         for y, u in zip(angles[first:].tolist(), commands[first:].tolist(), strict=True):
             if self._engine.controller_look_on(self._address, memory, y, u, room):
                 raise ControllerError(f"replay: the model fails at command {u}: {' '.join(faults()) or 'not finite'}")
@@ -240,6 +242,7 @@ class GuardedController(HoldsAddresses):
         """
         age = 0.0 if -_ROUNDING < age < 0.0 else age
         memory = state.memory.copy()
+        forget_faults()
         if not self._engine.controller_measure(self._address, memory, usable_angle(y), age, self._room):
             raise ControllerError("; ".join(faults()) or self._observer.refused(y, age))
         return replace(state, memory=memory)
@@ -313,6 +316,8 @@ class GuardedController(HoldsAddresses):
             "refusal": state.refusal,
             "unfinished": "" if self._solution is None else f"{self._solution.words}, its best step used",
         }
+        if self._solution is not None and answer.status == NO_SOLUTION:
+            more["planner"] = self._solution.words
         return status_words(answer, level, known.forecast_error, known.stalled, faults(), more)
 
     @property

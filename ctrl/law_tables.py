@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from threading import local
-from typing import Any, final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hystmpc.core.library import HoldsAddresses, engine
-from hystmpc.models.inverse.inverses import Bounds
+from hystmpc.core.structs import Struct, struct
 from hystmpc.trials.errors import ControllerError
-from hystmpc.trials.types import Mat, Vec
+from hystmpc.trials.types import Mat
 
 from .command import CommandLimits
 from .mpc_settings import WeightsSettings
-
-_NO_BOUNDS = Bounds(0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -76,58 +72,38 @@ class MoveBlocking:
         return constant
 
 
-@final
-class LawTables(HoldsAddresses):
-    """Struct `hystmpc_law` of a law over a horizon, and room for its programs; see core/planning.h.
+def law_over(
+    weights: WeightsSettings, horizon: int, limits: CommandLimits, dt: float, blocks: tuple[int, ...] | None = None
+) -> Struct:
+    """Return the `hystmpc_law` of weights over a horizon.
 
     Args:
-        limits, dt: of commands and their rate, and the sample time [s]; left out where only costs are asked for.
-        blocking: of the moves; None if every sample may move.
-        more: numbers of room beside that of the program.
+        blocks: samples of each block of moves, see `MoveBlocking`; None if every sample may move.
 
-    Attributes:
-        address: of the struct, which lives as long as this object.
-        bounds: of commands and moves.
-        moves: unknowns of the program, one a block or one a sample.
+    Raises:
+        ControllerError: if the blocks do not fit the horizon, or the angle limits cross.
     """
-
-    def __init__(
-        self,
-        weights: WeightsSettings,
-        horizon: int,
-        limits: CommandLimits | None = None,
-        dt: float = 0.0,
-        blocking: MoveBlocking | None = None,
-        more: int = 0,
-    ) -> None:
-        soft = weights.limits_angle
-        bounds = Bounds(limits.lower, limits.upper, limits.rate * dt) if limits else _NO_BOUNDS
-        costs = [weights.rate, weights.effort, weights.soft_limit if soft else 0.0]
-        parts: list[Any] = [[*bounds, *costs], weights.over(horizon)]
-        starts = ends = np.arange(horizon)
-        if blocking is not None:
-            starts, ends = blocking.starts, blocking.ends
-            parts += [blocking.matrix.ravel(), blocking.constant(weights).ravel()]
-        self.horizon, self.bounds, self.soft, self.moves = horizon, bounds, soft, starts.size
-        self._whole = np.array([horizon, self.moves, blocking is not None, soft, *starts, *ends], dtype=np.intc)
-        self._numbers: Vec = np.concatenate(parts)
-        self._struct = np.empty(engine().law_size(), dtype=np.uint8)
-        engine().law_init(self._whole, self._numbers, self._struct)
-        self.address = int(self._struct.ctypes.data)
-        self._bytes = int(engine().law_bytes(self.address, more))
-        self._per_thread = local()
-
-    @property
-    def room(self) -> int:
-        """Address of this thread's room."""
-        room: tuple[NDArray[np.uint8], int] | None = getattr(self._per_thread, "room", None)
-        if room is None:
-            memory = np.zeros(self._bytes, dtype=np.uint8)
-            room = self._per_thread.room = memory, int(memory.ctypes.data)
-        return room[1]
-
-    def step_room(self) -> tuple[int, int]:
-        """Numbers and whole numbers that one planning step needs, for an exported controller."""
-        sizes = np.empty(2, dtype=np.intc)
-        engine().step_room(self.address, sizes)
-        return int(sizes[0]), int(sizes[1])
+    starts = ends = np.arange(horizon)
+    tables: dict[str, Any] = {}
+    if blocks is not None:
+        blocking = MoveBlocking(blocks, horizon)
+        starts, ends = blocking.starts, blocking.ends
+        tables = {"blocking": blocking.matrix, "constant": blocking.constant(weights)}
+    soft = weights.limits_angle
+    return struct(
+        "hystmpc_law",
+        horizon=horizon,
+        moves=starts.size,
+        blocked=blocks is not None,
+        soft=soft,
+        lower=limits.lower,
+        upper=limits.upper,
+        reach=limits.rate * dt,
+        rate_weight=weights.rate,
+        effort_weight=weights.effort,
+        soft_weight=weights.soft_limit if soft else 0.0,
+        tracking=weights.over(horizon),
+        starts=starts,
+        ends=ends,
+        **tables,
+    )

@@ -63,7 +63,7 @@ class WeightsSettings(Settings):
 
 
 class HoldSettings(Settings):
-    """Hold of the command, and slow correction of a remaining error; see `HoldRule`, which counts samples.
+    """Hold of the command, and slow correction of a remaining error; see core/predictive.c, which counts samples.
 
     Attributes:
         tolerance_deg: distance from the reference that always counts as reached [deg].
@@ -151,7 +151,7 @@ class PredictiveSettings(LawSettings):
 
 
 class LinearisedMpcSettings(PredictiveSettings):
-    """Linearised predictive controller (real-time iteration); see `LinearisedPlanner`.
+    """Linearised predictive controller (real-time iteration); see core/planner.c.
 
     Attributes:
         iterations: linearisations per step.

@@ -15,8 +15,8 @@ from hystmpc.trials.brief import in_brief
 from hystmpc.trials.types import Vec
 
 from .contract.metadata import ModelMetadata, NoiseModel, Start
+from .python_methods import PythonMethods
 from .rest import RestRule
-from .written import Written
 
 _SETTLING_S = 2.0  # [s], many times the lag of any catheter drive
 
@@ -174,7 +174,7 @@ class Predictor(WithPart, ABC):
     @cached_property
     def part(self) -> Struct:
         """The predictor as the engine reads it, `hystmpc_predictor`; it calls the methods of one written in Python."""
-        outside = Written(self, self.state_size).predictor()
+        outside = PythonMethods(self, self.state_size).predictor()
         return struct("hystmpc_predictor", kind=kind_of("WRITTEN"), states=self.state_size, outside=outside)
 
     @property
@@ -236,7 +236,7 @@ class Inverse(WithPart, ABC):
     @cached_property
     def part(self) -> Struct:
         """The inverse as the engine reads it, `hystmpc_inverse`; it calls `command` of one written in Python."""
-        return struct("hystmpc_inverse", kind=kind_of("ANSWERED"), outside=Written(self).inverse())
+        return struct("hystmpc_inverse", kind=kind_of("ANSWERED"), outside=PythonMethods(self).inverse())
 
     @abstractmethod
     def command(self, state: Vec, theta: float, u_last: float) -> float:

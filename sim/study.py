@@ -49,7 +49,7 @@ class Study:
     approach_s: Mapping[str, float]  # duration of each approach, 0 for none [s]; it does not count
     files: tuple[Path, ...]
 
-    def controller(self, settings: AnyControllerSettings) -> GuardedController[Any]:
+    def controller(self, settings: AnyControllerSettings) -> GuardedController:
         """Build a controller on this study's model.
 
         Raises:

@@ -177,7 +177,7 @@ def build_controller(
     inverse: Path | str | None = None,
     limits: CommandLimits | None = None,
     actuator_lag_s: float = 0.0,
-) -> GuardedController[Any]:
+) -> GuardedController:
     """Build a controller of the tip angle, with methods `init` and `step` and explicit state.
 
     Args:

@@ -139,7 +139,7 @@ class ControllerContract(ABC):
         return KnownDevice(known, limits, low, high)
 
     @cached_property
-    def _controller(self) -> GuardedController[Any]:
+    def _controller(self) -> GuardedController:
         settings = self.settings()
         return build_controller(settings, *pair_for(settings, self._device.known), self._device.limits)
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import ctypes
 import math
 from collections.abc import Mapping
 from typing import final
 
 import numpy as np
 
-from hystmpc.core.library import engine
 from hystmpc.core.structs import Struct, struct
 from hystmpc.models.contract.metadata import NoiseModel
 from hystmpc.models.model import Predictor
@@ -86,7 +84,7 @@ class NoiseBank:
         drift, by_drift = _axis(given[1], known.drift_sigma_deg_per_sqrt_s, _DRIFT)
         motion, by_motion = _axis(given[2], known.motion_sigma_deg_per_sqrt_unit, _MOTION / math.sqrt(high - low))
         grid = np.array([axis.ravel() for axis in np.meshgrid(sensor, drift, motion, indexing="ij")])
-        self._dt, self._limit, self._counts = predictor.dt, limit_deg, (sensor.size, drift.size, motion.size)
+        self._limit, self._counts = limit_deg, (sensor.size, drift.size, motion.size)
         self._sensor, self._drift, self._motion = grid[0] ** 2, predictor.dt * grid[1] ** 2, grid[2] ** 2
         self._logs = np.log(np.maximum(grid**2, _TINY))
         self._by_sensor, self._by_model = by_sensor, np.outer(by_drift, by_motion).ravel()
@@ -100,12 +98,10 @@ class NoiseBank:
             close = (grid[1] == drift[0]) & (grid[2] == motion[0])
             first[close] = most[close] = (_HELD * max(model_sigma_deg, _LEAST_MODEL_DEG)) ** 2
         self._first, self._widest = first, most
-        scalars = np.array([*self._counts, self._switching, self._most, limit_deg])
-        values = np.concatenate([scalars, *self._tables().values()]).tolist()
-        self._numbers, self.size = (ctypes.c_double * len(values))(*values), grid.shape[1]
+        self.size = grid.shape[1]
 
     def _tables(self) -> Mapping[str, Vec]:
-        """Tables of `hystmpc_noise` in core/estimator.h, in their order."""
+        """Tables of `hystmpc_noise` in core/estimator.h, axis by axis of the grid."""
         _, drifts, motions = self._counts
         models = drifts * motions
         return {
@@ -118,19 +114,8 @@ class NoiseBank:
             "most_variances": self._widest[:models],
         }
 
-    def numbers(self) -> Mapping[str, float | Vec]:
-        """Return the numbers of the bank, axis by axis of its grid, for code generation."""
-        return {
-            **dict(zip(("sensors", "drifts", "motions"), self._counts, strict=True)),
-            **self._tables(),
-            "filters": self.size,
-            "switching": self._switching,
-            "most_gain": self._most,
-            "disturbance_limit": self._limit,
-        }
-
     def struct(self) -> Struct:
-        """Return the bank as `hystmpc_noise` of core/estimator.h, axis by axis of its grid."""
+        """Return the bank as `hystmpc_noise` of core/estimator.h."""
         sizes = dict(zip(("sensors", "drifts", "motions"), self._counts, strict=True))
         limits = {"switching": self._switching, "most_gain": self._most, "limit": self._limit}
         return struct("hystmpc_noise", **sizes, **self._tables(), **limits)
@@ -140,37 +125,12 @@ class NoiseBank:
         """Logarithms of the filters' sensor variances [log deg^2] (M,)."""
         return np.asarray(self._logs[0])
 
-    def init(self, disturbance: float) -> tuple[Vec, float]:
-        """Return the initial bank (3, M) for a disturbance [deg], rows disturbance, variance, weight; its variance."""
-        bank = np.empty((3, self.size))
-        return bank, engine().bank_init(self._numbers, bank, disturbance)
-
-    def correct(self, bank: Vec, offset: float) -> tuple[Vec, float, float]:
-        """Measurement update with `offset` = y - model [deg]: the bank, its disturbance [deg] and variance [deg^2]."""
-        after, mean = bank.copy(), np.empty(1)
-        variance = engine().bank_correct(self._numbers, after, offset, mean)
-        return after, mean.item(), variance
-
-    def advance(self, bank: Vec, travel: float, disturbance: float) -> tuple[Vec, float]:
-        """Time update by one sample with command travel `travel` [command unit]: the bank and its variance [deg^2]."""
-        after = bank.copy()
-        return after, engine().bank_advance(self._numbers, after, travel, disturbance)
-
     def estimated_noise(self, bank: Vec) -> NoiseModel:
         """Estimated sigmas: geometric means over the filters."""
-        sensor, drift, motion = np.sqrt(self._variances(bank)).tolist()
+        sensor, drift, motion = np.exp(0.5 * (self._logs @ bank[2])).tolist()
         return NoiseModel(
             sensor_sigma_deg=sensor, drift_sigma_deg_per_sqrt_s=drift, motion_sigma_deg_per_sqrt_unit=motion
         )
-
-    def sensor_variance(self, bank: Vec) -> float:
-        """Variance of the sensor noise [deg^2], from `estimated_noise`."""
-        return float(self._variances(bank)[0])
-
-    def growth(self, bank: Vec, travel: float) -> float:
-        """Growth of the disturbance's variance in a sample with this command travel [deg^2], from `estimated_noise`."""
-        _, drift, motion = self._variances(bank).tolist()
-        return float(drift * self._dt + motion * travel)
 
     def ahead(self, bank: Vec, travels: Vec) -> Vec:
         """Growth of the disturbance's variance to the ends of the coming samples without a measurement (H,) [deg^2].
@@ -181,9 +141,6 @@ class NoiseBank:
         steps = np.arange(1.0, travels.size + 1.0)
         grown = variance + steps[:, None] * self._drift + np.cumsum(travels)[:, None] * self._motion
         return np.asarray((np.minimum(grown, self._widest) - variance) @ weight)
-
-    def _variances(self, bank: Vec) -> Vec:
-        return np.asarray(np.exp(self._logs @ bank[2]))
 
 
 def _axis(given: float | None, known: float, grid: Vec) -> tuple[Vec, Vec]:

@@ -14,9 +14,8 @@ which stands for a drive between two of the grid. `core/basis.c` and `core/learn
 
 from __future__ import annotations
 
-import ctypes
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
@@ -149,30 +148,6 @@ class BankState:
         return np.asarray(self.share * self.z[self.delay, 1:, self.best // DELAYS])
 
 
-class Basis(ctypes.Structure):
-    """Numbers of the basis, `hystmpc_basis` of core/basis.h."""
-
-    _fields_ = (
-        ("creeps", ctypes.c_double * _CREEPS_S.size),
-        ("pace", ctypes.c_double),
-        ("low", ctypes.c_double),
-        ("span", ctypes.c_double),
-    )
-
-
-class Learner(ctypes.Structure):
-    """Numbers of the filters, `hystmpc_learner` of core/learning.h."""
-
-    _fields_ = (
-        ("basis", Basis),
-        ("lags", ctypes.c_double * LAGS_S.size),
-        *((name, ctypes.c_double * _SIZE) for name in ("prior", "growth", "walk")),
-        *((name, ctypes.c_double) for name in ("noise", "floor", "scale")),
-        ("delay", ctypes.c_int),
-        ("block", ctypes.c_int),
-    )
-
-
 @final
 class FilterBank:
     """Kalman filters of z = (d, w_c, w) for every drive of the grid, with scores of their forecasts.
@@ -213,45 +188,26 @@ class FilterBank:
         walk = [0.0, *(settings.walk_share**2 * prior[1:]).tolist()]
         lags = [1.0 if tau == 0 else -math.expm1(-dt / tau) for tau in LAGS_S.tolist()]
         creeps = -np.expm1(-dt / _CREEPS_S)
-        self.basis = Basis(tuple(creeps.tolist()), 1.0 / dt, low, high - low)
-        self._learner = Learner(
-            self.basis,
-            tuple(lags),
-            *(tuple(numbers) for numbers in (prior.tolist(), growth, walk)),
-            (_SENSOR * sensor) ** 2,
-            (_FLOOR * sensor) ** 2,
-            scale,
-            delay,
-            max(round(_BLOCK_S / dt), _LEAST_BLOCK),
+        known = struct("hystmpc_basis", creeps=creeps, pace=1.0 / dt, low=low, span=high - low)
+        self._learner = struct(
+            "hystmpc_learner",
+            basis=known,
+            lags=lags,
+            prior=prior,
+            growth=growth,
+            walk=walk,
+            noise=(_SENSOR * sensor) ** 2,
+            floor=(_FLOOR * sensor) ** 2,
+            scale=scale,
+            delay=delay,
+            block=max(round(_BLOCK_S / dt), _LEAST_BLOCK),
         )
+        self._scale = scale
         self._past = _QUEUE + (DELAYS + 1 + delay) * MEMORY * LAGS_S.size
-
-    def numbers(self) -> Mapping[str, float | Vec]:
-        """Return the numbers of the bank and of its basis, for code generation."""
-        learner, basis = self._learner, self.basis
-        return {
-            "past": self._past,
-            "block": learner.block,
-            "lag_shares": np.array(learner.lags),
-            "creep_shares": np.array(basis.creeps),
-            "prior": np.array(learner.prior),
-            "growth": np.array(learner.growth),
-            "walk": np.array(learner.walk),
-            "learning_noise": learner.noise,
-            "floor": learner.floor,
-            "scale": learner.scale,
-            "range_low": basis.low,
-            "range_span": basis.span,
-            "pace": basis.pace,
-        }
 
     def struct(self) -> Struct:
         """Return the bank as `hystmpc_learner` of core/learning.h."""
-        learner, basis = self._learner, self.basis
-        numbers = {name: getattr(learner, name) for name, *_ in Learner._fields_ if name != "basis"}
-        known = struct("hystmpc_basis", creeps=list(basis.creeps), pace=basis.pace, low=basis.low, span=basis.span)
-        lists = {name: list(value) if isinstance(value, ctypes.Array) else value for name, value in numbers.items()}
-        return struct("hystmpc_learner", basis=known, **lists)
+        return self._learner
 
     def init(self, angle: float, u: float, y: float) -> BankState:
         """Return the state at rest under the command u, the model at `angle` and the measurement at `y` [deg].
@@ -259,18 +215,18 @@ class FilterBank:
         A device that rests near one end of its command has come from the other side.
         """
         state = BankState(np.empty(self._past), np.zeros(FILTERS.itemsize // 8))
-        engine().filters_init(ctypes.byref(self._learner), state.past, state.filters, angle, u, y)
+        engine().filters_init(self._learner.address, state.past, state.filters, angle, u, y)
         return state
 
     def reach(self, state: BankState) -> float:
         """Possible change of the angle under the last commands [deg]: twice the value from the mean slope."""
         shares = state.queue.tolist()
-        return 2.0 * float(self._learner.scale) * (max(shares) - min(shares))
+        return 2.0 * self._scale * (max(shares) - min(shares))
 
     def advance(self, state: BankState, u: float) -> BankState:
         """Time update by one sample under the command u."""
         past = state.past.copy()
-        engine().filters_advance(ctypes.byref(self._learner), past, u)
+        engine().filters_advance(self._learner.address, past, u)
         return replace(state, past=past)
 
     def correct(self, state: BankState, y: float, angle: float, disturbance: float) -> BankState:
@@ -281,7 +237,7 @@ class FilterBank:
             disturbance: of the model alone, before this measurement is used [deg].
         """
         filters = state.filters.copy()
-        engine().filters_correct(ctypes.byref(self._learner), state.past, filters, y, angle, disturbance)
+        engine().filters_correct(self._learner.address, state.past, filters, y, angle, disturbance)
         return replace(state, filters=filters)
 
     def acting(self, state: BankState, angles: Sequence[float]) -> tuple[Vec, Vec]:
@@ -295,5 +251,5 @@ class FilterBank:
         """
         both = np.empty(LEARNED_SIZE + len(angles))
         both[LEARNED_SIZE:] = angles
-        engine().filters_state(ctypes.byref(self._learner), state.past, state.filters, both)
+        engine().filters_state(self._learner.address, state.past, state.filters, both)
         return both[LEARNED_SIZE:], both[:LEARNED_SIZE]

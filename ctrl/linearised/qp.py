@@ -1,8 +1,7 @@
-"""Quadratic programs of one sparsity pattern, and their solvers: the engine's (dual active-set) and OSQP (ADMM)."""
+"""Quadratic programs of one sparsity pattern, and their solution by OSQP (ADMM); that of the engine is core/qp.c."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from threading import local
 from typing import Any, final
@@ -12,7 +11,6 @@ import osqp
 from numpy.typing import NDArray
 from scipy import sparse
 
-from hystmpc.core.library import engine
 from hystmpc.trials.types import Mat, Vec
 
 
@@ -64,57 +62,6 @@ class QpSolution:
     unfinished: bool = False  # whether the iterations ran out
 
 
-class QpSolver(ABC):
-    """Solver of the quadratic programs of one pattern; equal data give bitwise equal solutions."""
-
-    name: str  # name in messages
-
-    @abstractmethod
-    def solve(self, data: QpData) -> QpSolution:
-        """Solve one program; a failure is reported in the solution, not as an exception."""
-
-
-_STATUS = {-1: "primal infeasible", -2: "not convex", -3: "solution not finite", -4: "maximum changes reached"}
-_OUT_OF_CHANGES = -4
-
-
-def status_of(changes: int) -> str:
-    """Message for an answer of the engine's solver: the number of changes, or why there is no solution."""
-    return _STATUS.get(changes, f"exit flag {changes}") if changes < 0 else "solved"
-
-
-@dataclass(frozen=True)
-class ActiveSetOptions:
-    """Options of the engine's exact solver: the bound on changes of the active set limits the solution time."""
-
-    changes: int = 1000
-
-    def solver(self, pattern: QpPattern) -> ActiveSetSolver:
-        """Return a solver of programs of this pattern."""
-        return ActiveSetSolver(pattern, self)
-
-
-@final
-class ActiveSetSolver(QpSolver):
-    """Exact solver of the engine, a dual active-set method (Goldfarb and Idnani, 1983); see core/qp.c.
-
-    It starts from no active row, so that results do not depend on the order of programs.
-    """
-
-    name = "active set"
-
-    def __init__(self, pattern: QpPattern, options: ActiveSetOptions) -> None:
-        self._options, self._solve = options, engine().quadratic_program
-        self._unknowns, self._rows = pattern.nonzero.shape
-        self._bytes = int(engine().qp_bytes(self._unknowns, self._rows, int(pattern.soft.sum())))
-
-    def solve(self, data: QpData) -> QpSolution:
-        primal, room = np.full(self._unknowns, np.nan), np.empty(self._bytes, dtype=np.uint8)
-        program = data.hessian, data.gradient, data.columns, data.lower, data.upper, data.soft
-        answer = self._solve(self._unknowns, self._rows, *program, self._options.changes, room, primal)
-        return QpSolution(primal, answer >= 0, status_of(answer), max(answer, 0), answer == _OUT_OF_CHANGES)
-
-
 _OSQP_UNFINISHED = "maximum iterations reached"
 _USABLE = ("solved", "solved inaccurate", _OSQP_UNFINISHED)  # inaccurate: within ten times the tolerance
 
@@ -141,14 +88,12 @@ class OsqpOptions:
 
 
 @final
-class OsqpSolver(QpSolver):
-    """Solver OSQP of one pattern of quadratic programs.
+class OsqpSolver:
+    """Solver OSQP of one pattern of quadratic programs; equal data give bitwise equal solutions.
 
     Each thread reuses one workspace. Every solve starts from z = 0, the first step size and the multipliers in the
     data; the cost is scaled here, because the solver's scaling leaves rounding errors behind.
     """
-
-    name = "OSQP"
 
     def __init__(self, pattern: QpPattern, options: OsqpOptions) -> None:
         self._pattern, self._options = pattern, options
@@ -160,6 +105,7 @@ class OsqpSolver(QpSolver):
         self._per_thread.workspace = self._build()
 
     def solve(self, data: QpData) -> QpSolution:
+        """Solve one program; what OSQP answers without a solution stands in the answer."""
         workspace = getattr(self._per_thread, "workspace", None) or self._build()
         self._per_thread.workspace = None  # a failed workspace may keep what made it fail
         slacks = 1.0 / data.soft[self._pattern.soft]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,8 +17,10 @@ from hystmpc.trials.types import Vec
 
 from ..command import Command, CommandLimits, Source, attempt, number_of, numbers_of, replace
 from ..estimation.observer import usable_angle
-from ..guarded import GuardedController, GuardedState
 from .reference import Reference, ReferenceRequest, rest_reference
+
+if TYPE_CHECKING:
+    from ..guarded import GuardedController, GuardedState
 
 _SAME_COMMAND = 1e-6  # of the command's range: two records of one command may differ by it
 

@@ -19,7 +19,6 @@ from hystmpc.trials.errors import ControllerError, shown
 from hystmpc.trials.types import Vec
 
 from ..command import Command, attempt, numbers_of, replace
-from ..guarded import GuardedState
 from .memory import (
     Snapshot,
     TipPlan,
@@ -47,6 +46,7 @@ from .reference import ReferenceRequest, given_request, waypoint_request
 from .settings import TipSettings, read_settings
 
 if TYPE_CHECKING:
+    from ..guarded import GuardedState
     from .settings import Assembly
 
 

@@ -107,7 +107,7 @@ class TakenUp(Rehearsed):
     """
 
     def __init__(
-        self, controller: GuardedController[Any], plant: PreparedPlant, sensor: ImagingSettings | None = None
+        self, controller: GuardedController, plant: PreparedPlant, sensor: ImagingSettings | None = None
     ) -> None:
         angles = plant.angles_deg
         if sensor is not None:
@@ -117,7 +117,7 @@ class TakenUp(Rehearsed):
             angles = np.where(seen, angles + sensor.noise_deg * noise, np.nan)
         super().__init__(controller, plant.commands, angles)
 
-    def init(self, y: float, u: float) -> GuardedState[Any]:
+    def init(self, y: float, u: float) -> GuardedState:
         del y, u
         return self._controller.replay(self._commands, self._angles)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, final
+from typing import final
 
 import numpy as np
 
@@ -74,7 +74,7 @@ class ExactInverse(Inverse):
         return min(max(float(place) - crept, low), high)
 
 
-def exact_controller(device: DrawnDevice, settings: LinearisedMpcSettings) -> GuardedController[Any]:
+def exact_controller(device: DrawnDevice, settings: LinearisedMpcSettings) -> GuardedController:
     """The linearised law on the device itself.
 
     Args:
@@ -86,10 +86,10 @@ def exact_controller(device: DrawnDevice, settings: LinearisedMpcSettings) -> Gu
     return build_controller(settings, predictor, ExactInverse(predictor), device.limits)
 
 
-class Rehearsed(Controller[GuardedState[Any]]):
+class Rehearsed(Controller[GuardedState]):
     """Controller that starts from a recording instead of a single measurement."""
 
-    def __init__(self, controller: GuardedController[Any], commands: Vec, angles: Vec) -> None:
+    def __init__(self, controller: GuardedController, commands: Vec, angles: Vec) -> None:
         self._controller, self._commands, self._angles = controller, commands, angles
 
     @property
@@ -100,12 +100,15 @@ class Rehearsed(Controller[GuardedState[Any]]):
     def horizon(self) -> int:
         return self._controller.horizon
 
-    def init(self, y: float, u: float) -> GuardedState[Any]:
+    def init(self, y: float, u: float) -> GuardedState:
         del u  # the recording ends with it
-        return replace(self._controller.replay(self._commands, self._angles), due=y)
+        state = self._controller.replay(self._commands, self._angles)
+        state = replace(state, memory=state.memory.copy())
+        state.head.due = y
+        return state
 
-    def step(self, state: GuardedState[Any], y: float, reference: Vec) -> tuple[Command, GuardedState[Any]]:
+    def step(self, state: GuardedState, y: float, reference: Vec) -> tuple[Command, GuardedState]:
         return self._controller.step(state, y, reference)
 
-    def measure(self, state: GuardedState[Any], y: float, age: float) -> GuardedState[Any]:
+    def measure(self, state: GuardedState, y: float, age: float) -> GuardedState:
         return self._controller.measure(state, y, age)

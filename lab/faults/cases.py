@@ -109,7 +109,7 @@ class FaultCase:
 
     @property
     def has_c(self) -> bool:
-        """Whether its controller can run in C; controllers with frames cannot."""
+        """Whether the loop in C can take its samples; those with frames it leaves to Python."""
         return self.settings.get("sensor", {}).get("kind") != "intermittent"
 
     @property

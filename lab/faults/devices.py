@@ -19,7 +19,6 @@ from .truth import MOVERS, DeviceVerdict, Mover, judged
 
 _SEED = 40
 _FAST: Mapping[str, Any] = {"ramps": {"velocity_per_s": 8.0, "acceleration_per_s2": 60.0, "jerk_per_s3": 1000.0}}
-_C_EVERY = 6  # of these runs with an MPC one is stepped in C
 _LOOP_HZ, _FAST_HZ = 25.0, 1000.0
 _WHOLE_EVERY = 5  # healthy devices, of which one is commissioned to the end
 
@@ -222,16 +221,14 @@ def device_cases() -> tuple[DeviceCase, ...]:
 
 
 def device_plays(cases: tuple[DeviceCase, ...], movers: tuple[Mover, ...] = MOVERS) -> tuple[DevicePlay, ...]:
-    """Every device with each of its movers; runs alternate the laws, some in C, some over UDP."""
+    """Every device with each of its movers; runs alternate the laws, some over UDP, in C."""
     found = []
     for case in cases:
         k = case.device.seed
         for mover in (m for m in movers if m in case.movers):
             law = case.law or LAW[k % len(LAW)]
-            in_c = mover == "run" and law == LAW[0] and k % _C_EVERY < len(LAW)
-            backend = "c" if in_c else "python"
             whole = case.healthy and k % _WHOLE_EVERY == 0
-            found.append(DevicePlay(case, mover, How(law, backend, bench=case.bench, whole=whole)))  # type: ignore[arg-type]
+            found.append(DevicePlay(case, mover, How(law, bench=case.bench, whole=whole)))
     if "run" in movers:
         found += [_over_udp(case) for case in cases if case.name in _OVER_UDP]
     return tuple(found)

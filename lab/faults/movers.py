@@ -88,7 +88,7 @@ class How:
 
     Attributes:
         law: kind of the controller of `run` and `ros2`.
-        backend: what steps it in `run`.
+        backend: what takes the samples of `run`.
         udp: whether `run` goes over a real wire, in real time: whole samples are taken in C there.
         bench: changes of the bench file, nested.
         whole: whether a commissioning goes on to the end; else, and with an investigation, it ends after its first

@@ -113,7 +113,7 @@ def tracked(
     return {f"{name}.{figure}": value for figure, value in figures.items()}, runs
 
 
-def controller_on(settings: LawSettings, known: ControllerModel, limits: CommandLimits) -> GuardedController[Any]:
+def controller_on(settings: LawSettings, known: ControllerModel, limits: CommandLimits) -> GuardedController:
     """Controller with a model: predictor and inverse as required by its law."""
     return build_controller(settings, *pair_for(settings, known), limits)
 

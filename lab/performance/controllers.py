@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
+from hystmpc.core.library import engine
 from hystmpc.ctrl.build import build_controller
-from hystmpc.ctrl.command import CommandPlan
 from hystmpc.ctrl.guarded import GuardedController
-from hystmpc.ctrl.linearised.planner import TrackingQp
-from hystmpc.ctrl.linearised.qp import ActiveSetOptions, OsqpOptions, OsqpSolver, QpData
-from hystmpc.ctrl.mpc import PlanCost
+from hystmpc.ctrl.linearised.program import PlanningTask, PlanProgram
+from hystmpc.ctrl.linearised.qp import OsqpOptions, OsqpSolver, QpData
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings, WeightsSettings
+from hystmpc.ctrl.problem import CHANGES
 from hystmpc.trials.types import Vec
 
 from .peers_ import METHODS, SQP_ONCE, Answer, Method, SingleShooting, TorchMppi, pytorch_mppi_installed
@@ -30,7 +29,7 @@ _SAMPLING, _MPPI = "sampling MPC, whole step", "pytorch-mppi, torch nn.LSTM"
 _GOAL = 6.0
 
 
-def linearised_controller(subject: Subject, settings: BenchSettings) -> GuardedController[Any]:
+def linearised_controller(subject: Subject, settings: BenchSettings) -> GuardedController:
     """Shipped linearised controller, but without effort: see `WEIGHTS`."""
     weights = WeightsSettings(effort=WEIGHTS.effort)
     wanted = LinearisedMpcSettings(horizon=settings.horizon, weights=weights)
@@ -56,17 +55,13 @@ def linearised_rows(subject: Subject, settings: BenchSettings, clock: Clock) -> 
 
         return TimedCall(method.name, in_turn(instants, solve))
 
-    stages: dict[str, list[float]] = defaultdict(list)
-
     def step(_: int, instant: Instant) -> None:
-        command, _after = controller.step(instant.state, instant.measured, instant.reference)
-        for stage, seconds in command.timing.stages.items():
-            stages[stage].append(seconds)
+        controller.step(instant.state, instant.measured, instant.reference)
 
     ours = TimedCall(OURS, in_turn(instants, step))
     times = clock.measure([ours, *(peer_job(method) for method in METHODS)])
     goals = subject.weights is not None
-    rows = [_tail(subject, stages, times.get(OURS), _TAIL if goals else None)]
+    rows = [_tail(subject, times.get(OURS), _TAIL if goals else None)]
     for method in METHODS:
         row = Comparison(
             section=_section(subject),
@@ -85,15 +80,9 @@ def _section(subject: Subject) -> str:
     return f"{subject.name}, linearised MPC, one thread"
 
 
-def _tail(
-    subject: Subject, stages: Mapping[str, Sequence[float]], times: Times | None, goal: float | None
-) -> Comparison:
+def _tail(subject: Subject, times: Times | None, goal: float | None) -> Comparison:
     row = Comparison(_section(subject), OURS, "its own median", Reads.TAIL, goal, times=times)
-    if times is None:
-        return row
-    facts = {f"{name}_s": _median(seconds) for name, seconds in stages.items()}
-    note = ", ".join(f"{name.removesuffix('_s')} {1e6 * value:.0f}" for name, value in facts.items() if value >= 5e-6)
-    return row.measured(times.p99_s / times.median_s, facts=facts, note=f"{note} us")
+    return row if times is None else row.measured(times.p99_s / times.median_s)
 
 
 def _compared(row: Comparison, instants: Sequence[Instant], answers: Sequence[tuple[int, Answer]]) -> Comparison:
@@ -121,35 +110,46 @@ def _median(values: Sequence[float]) -> float:
 
 def program_rows(subject: Subject, settings: BenchSettings, clock: Clock) -> list[Comparison]:
     """Row of the quadratic programs of a recorded scan, each around the last plan shifted by one sample."""
-    qp, programs = recorded_programs(subject, settings, WEIGHTS)
-    ours, peer = ActiveSetOptions().solver(qp.pattern), OsqpSolver(qp.pattern, OsqpOptions())
-    own = TimedCall(_PROGRAM, in_turn(programs, lambda _, p: ours.solve(p)))
+    around, programs = recorded_programs(subject, settings, WEIGHTS)
+    peer = OsqpSolver(around.pattern, OsqpOptions())
+    own = TimedCall(_PROGRAM, in_turn(programs, lambda _, p: active_set(p)))
     times = clock.measure([own, TimedCall(_OSQP, in_turn(programs, lambda _, p: peer.solve(p)))])
     row = Comparison(f"{subject.name}, QP alone H={settings.horizon}", _PROGRAM, _OSQP, Reads.FASTER)
     row = row.with_times(times.get(_PROGRAM), times.get(_OSQP))
     if row.times is None or row.other_times is None:
         return [row]
-    apart = [float(np.abs(ours.solve(p).primal - peer.solve(p).primal).max()) for p in programs]
+    apart = [float(np.abs(active_set(p) - peer.solve(p).primal).max()) for p in programs]
     facts = {"solution_difference_greatest": max(apart)}
     note = f"solutions apart by at most {max(apart):.1g}"
     return [row.measured(row.other_times.median_s / row.times.median_s, facts=facts, note=note)]
 
 
+def active_set(program: QpData) -> Vec:
+    """Solution z (n,) of a program by the engine's exact solver, not-a-number where there is none."""
+    unknowns, rows = program.columns.shape
+    room = np.empty(engine().qp_bytes(unknowns, rows, int((program.soft > 0.0).sum())), dtype=np.uint8)
+    primal = np.full(unknowns, np.nan)
+    known = program.hessian, program.gradient, program.columns, program.lower, program.upper, program.soft
+    engine().quadratic_program(unknowns, rows, *known, CHANGES, room, primal)
+    return primal
+
+
 def recorded_programs(
     subject: Subject, settings: BenchSettings, weights: WeightsSettings
-) -> tuple[TrackingQp, list[QpData]]:
+) -> tuple[PlanProgram, list[QpData]]:
     """Family of quadratic programs with these weights, and those of one scan."""
     limits, dt = subject.limits, subject.metadata.dt_s
-    qp = TrackingQp(weights, limits, settings.horizon, dt)
+    around = PlanProgram(weights, limits, settings.horizon, dt)
     instants = record_scan(linearised_controller(subject, settings), subject)
-    programs = []
+    programs, still = [], np.zeros(settings.horizon)
     for before, now in pairwise(instants):
-        problem = replace(now.problem, angle_limits=weights.angle_limits_deg)
+        problem = now.problem
+        task = PlanningTask(problem.u_last, problem.reference, still, weights.angle_limits_deg)
         shifted = np.append(before.command.plan[1:], before.command.plan[-1])
         plan = limits.clip_plans(shifted, problem.u_last, dt)
         angles, jacobian = subject.predictor.linearise(problem.state, plan)
-        programs.append(qp.data(problem, CommandPlan(plan, angles, 0.0), jacobian))
-    return qp, programs
+        programs.append(around.data(task, plan, angles, jacobian))
+    return around, programs
 
 
 def sampling_rows(subject: Subject, settings: BenchSettings, clock: Clock, threads: int) -> list[Comparison]:
@@ -222,8 +222,7 @@ def _sampling_compared(
 
 def _plan_cost(subject: Subject, instant: Instant, plan: Vec) -> float:
     problem = instant.problem
-    angles = subject.own.rollout(problem.state[: subject.state_size], plan[None])
-    return float(PlanCost(WEIGHTS, plan.size)(plan[None], angles, problem)[0])
+    return problem.cost(plan, subject.own.rollout(problem.state[: subject.state_size], plan[None])[0])
 
 
 def _peer_job(

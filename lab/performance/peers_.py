@@ -11,10 +11,11 @@ import casadi as ca
 import numpy as np
 
 from hystmpc.ctrl.command import CommandLimits
-from hystmpc.ctrl.mpc import PlanningProblem
 from hystmpc.ctrl.mpc_settings import WeightsSettings
 from hystmpc.models.networks.lstm import LstmWeights
 from hystmpc.trials.types import Vec
+
+from .subjects import PlanningProblem
 
 if TYPE_CHECKING:
     from hystmpc.models.networks.recurrent_ import LstmNet
@@ -75,7 +76,7 @@ class Answer:
 
 @final
 class SingleShooting:
-    """Peer by single shooting: min J(u) of `PlanCost` without effort and angle limits, over u (H,).
+    """Peer by single shooting: min J(u) of `PlanningProblem`, over u (H,).
 
     Box and rate limits are constraints. It is built once; every solve starts from the last solution shifted by one
     sample, with its multipliers.

@@ -16,7 +16,6 @@ from threadpoolctl import ThreadpoolController
 
 from hystmpc.ctrl.command import Command, CommandLimits
 from hystmpc.ctrl.guarded import GuardedController, GuardedState
-from hystmpc.ctrl.mpc import PlanningProblem
 from hystmpc.ctrl.mpc_settings import WeightsSettings
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.export import ExportBundle, export_onnx
@@ -355,24 +354,44 @@ def _catheter(chain: Chain) -> Simulator:
 
 
 @dataclass(frozen=True, eq=False)
+class PlanningProblem:
+    """Problem of one step for a peer, without effort and angle limits.
+
+    Attributes:
+        state: of the predictor (S,), at which the plan starts to act.
+        u_last: the command really sent last [mm or bar].
+        reference: wanted angles of the model (H,) [deg].
+    """
+
+    state: Vec
+    u_last: float
+    reference: Vec
+
+    def cost(self, plan: Vec, angles: Vec) -> float:
+        """Cost with `WEIGHTS` of a plan (H,) with these angles (H,) [deg]."""
+        moves = np.diff(plan, prepend=self.u_last)
+        tracking = WEIGHTS.over(plan.size) * (angles - self.reference) ** 2
+        return float(np.sum(tracking + WEIGHTS.rate * moves**2))
+
+
+@dataclass(frozen=True, eq=False)
 class Instant:
     """Step of the recorded loop: its inputs and the resulting command."""
 
-    state: GuardedState[Any]
+    state: GuardedState
+    model_state: Vec  # of the predictor without a learned part (S,)
     measured: float
     reference: Vec
     command: Command
 
     @property
     def problem(self) -> PlanningProblem:
-        """Planning problem of this step for a peer; no effort, no angle limits."""
+        """Planning problem of this step for a peer."""
         wanted = self.reference - self.command.disturbance
-        estimate = self.state.estimate
-        nothing = np.zeros(wanted.size)
-        return PlanningProblem(estimate.state, estimate.command, wanted, nothing, (-np.inf, np.inf))
+        return PlanningProblem(self.model_state, self.state.estimate.command, wanted)
 
 
-def record_scan(controller: GuardedController[Any], subject: Subject) -> list[Instant]:
+def record_scan(controller: GuardedController, subject: Subject) -> list[Instant]:
     """One period of the scan with the model as plant, after the approach from rest."""
     rest = subject.limits.lower
     y, _ = subject.predictor.advance(subject.predictor.initial(subject.metadata.trained_angle.lower, rest), rest)
@@ -381,7 +400,8 @@ def record_scan(controller: GuardedController[Any], subject: Subject) -> list[In
     for k in range(_SETTLING + subject.scan_samples):
         reference = subject.scan(k + 1, controller.horizon)
         command, following = controller.step(state, y, reference)
-        instants.append(Instant(state, y, reference, command))
+        model_state = controller.model_state(state)[: subject.predictor.state_size]
+        instants.append(Instant(state, model_state, y, reference, command))
         state, y = following, following.estimate.angles[0]
     return instants[_SETTLING:]
 

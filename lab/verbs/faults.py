@@ -72,7 +72,7 @@ def faults(
         Literal["udp", "dds", "both"] | None, typer.Option("--transport", help="The wires; both where left out.")
     ] = None,
     backend: Annotated[
-        Literal["python", "c"] | None, typer.Option("--backend", help="What steps the controller; c leaves out frames.")
+        Literal["python", "c"] | None, typer.Option("--backend", help="What takes the samples; c leaves out frames.")
     ] = None,
     jobs: Annotated[int, typer.Option("--jobs", min=1, help="Cases at a time; more than cores spoils timing.")] = 1,
     devices: Annotated[

@@ -19,12 +19,7 @@ from ..operators.dynamics import Delay, stored
 from ..operators.operator import Operator
 from ..prediction.compiled import CompiledPredictor
 
-_MOVE_WEIGHT = 1e-3  # of a squared move of the input against a squared deviation of the output
-_ROUNDS = 3  # linearisations
-_LINEAR = 1e-6  # share of the output's change that the linearisation may miss
-_NUMBERS = np.array([_MOVE_WEIGHT, _ROUNDS, _LINEAR])
 _WHOLE = 1e-9  # share of a sample by which a delay of whole samples may be short of them
-_FREE = 1e9  # bound of moves that have none
 
 
 class DriveFit(NamedTuple):
@@ -66,8 +61,7 @@ class Drive:
         Exact for linear dynamics, by Gauss-Newton steps for others; each program by an active-set method for bounded
         least squares (Stark and Parker, Computational Statistics 10 (1995)).
         """
-        inputs, outputs, _ = self.predictor.run.lead(state, wanted, u_last, min(reach, _FREE), _NUMBERS)
-        return DriveFit(inputs, outputs)
+        return DriveFit(*self.predictor.run.lead(state, wanted, u_last, reach))
 
 
 @final

@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 
 from hystmpc.core.library import engine
-from hystmpc.ctrl.law_tables import LawTables
-from hystmpc.ctrl.mpc import PlanningProblem
-from hystmpc.ctrl.mpc_settings import WeightsSettings
+from hystmpc.ctrl.build import build_controller
+from hystmpc.ctrl.command import CommandLimits
+from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.models.stages import prepared
 
+from ..ctrl.plays import compiled_pi
 from ..models.lstm_examples import make_route, random_weights
 from ..models.zoo import DT, RATE_PI
 
@@ -59,15 +60,15 @@ def test_a_network_has_weights_of_its_own(copied: Callable[[Any], Any]) -> None:
 
 
 @copies
-def test_a_law_and_a_problem_have_memory_of_their_own(copied: Callable[[Any], Any]) -> None:
-    tables = LawTables(WeightsSettings(), 20)
-    problem = PlanningProblem(np.zeros(3), 1.0, PLAN, PLAN, (0.0, 90.0))
-    values, again = np.empty(1), np.empty(1)
-    engine().costs(tables.address, problem.task, 1, PLAN[None].copy(), 2 * PLAN[None], values)
-    law, task = copied(tables), copied(problem)
-    assert law.address != tables.address
-    assert task.task != problem.task
-    del tables, problem
+def test_a_controller_steps_as_its_original(copied: Callable[[Any], Any]) -> None:
+    predictor, inverse = compiled_pi()
+    controller = build_controller(LinearisedMpcSettings(), predictor, inverse, CommandLimits(0.0, 6.0, 12.0))
+    state, wanted = controller.init(22.0, 0.0), np.full(controller.horizon, 40.0)
+    expected, after = controller.step(state, 22.0, wanted)
+    made, then = copied((controller, state))
+    assert made.problem.address != controller.problem.address
+    del controller, state, predictor, inverse
     gc.collect()
-    engine().costs(law.address, task.task, 1, PLAN[None].copy(), 2 * PLAN[None], again)
-    np.testing.assert_array_equal(again, values)
+    command, following = made.step(then, 22.0, wanted)
+    np.testing.assert_array_equal(command.plan, expected.plan)
+    np.testing.assert_array_equal(following.memory, after.memory)

@@ -10,23 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import null_space
 
-from hystmpc.ctrl.command import Stopwatch
 from hystmpc.ctrl.law_tables import MoveBlocking
-from hystmpc.ctrl.linearised.planner import BlockedQp, LinearisedPlanner, TrackingQp
-from hystmpc.ctrl.linearised.qp import (
-    ActiveSetOptions,
-    OsqpOptions,
-    OsqpSolver,
-    QpData,
-    QpPattern,
-    QpSolution,
-)
-from hystmpc.ctrl.mpc import PlanCost
+from hystmpc.ctrl.linearised.program import PlanProgram
+from hystmpc.ctrl.linearised.qp import OsqpOptions, OsqpSolver, QpData, QpPattern, QpSolution
 from hystmpc.ctrl.mpc_settings import WeightsSettings
 from hystmpc.trials.errors import ControllerError
 
+from .planners import LIMITS, Planner, exact, posed
 from .plays import DT, LINEAR, SOUND, Case
-from .test_linearised import HARD, LIMITS, SOFT, dense, mpc, posed
+from .test_linearised import HARD, SOFT, dense, mpc
 from .test_solvers import TIGHT
 from .test_tracking import built, resting, scan, track
 
@@ -37,16 +29,15 @@ REACH = LIMITS.rate * DT
 lengths = st.lists(st.integers(1, 6), min_size=1, max_size=6).map(tuple)
 
 
-def blocked(weights: WeightsSettings, blocks: tuple[int, ...], horizon: int = H) -> BlockedQp:
-    return BlockedQp(weights, LIMITS, MoveBlocking(blocks, horizon), DT)
+def blocked(weights: WeightsSettings, blocks: tuple[int, ...], horizon: int = H) -> PlanProgram:
+    return PlanProgram(weights, LIMITS, horizon, DT, blocks)
 
 
-def program(qp: BlockedQp | TrackingQp, case: Case, seed: int, horizon: int = H) -> QpData:
-    problem, start = posed(case, horizon, seed)
-    return qp.data(problem, start, case.predictor.linearise(problem.state, start.commands)[1])
+def data_of(program: PlanProgram, case: Case, seed: int, horizon: int = H) -> QpData:
+    return posed(case, horizon, seed).program(program, case.predictor)
 
 
-def under_equality(full: TrackingQp, data: QpData, matrix: np.ndarray) -> QpSolution:
+def under_equality(full: PlanProgram, data: QpData, matrix: np.ndarray) -> QpSolution:
     """The full program with rows that hold v in the range of M."""
     equal = null_space(matrix.T)
     none = np.zeros(equal.shape[1])
@@ -79,86 +70,79 @@ def test_moves_are_even_within_a_block_and_zero_after_the_last(blocks: tuple[int
 def test_it_is_the_full_program_under_an_equality(
     case: Case, weights: WeightsSettings, blocks: tuple[int, ...]
 ) -> None:
-    qp, full = blocked(weights, blocks), TrackingQp(weights, LIMITS, H, DT)
+    few_moves, full = blocked(weights, blocks), PlanProgram(weights, LIMITS, H, DT)
     for seed in range(5):
-        few = ActiveSetOptions().solver(qp.pattern).solve(program(qp, case, seed))
-        many = under_equality(full, program(full, case, seed), MoveBlocking(blocks, H).matrix)
+        few = exact(data_of(few_moves, case, seed))
+        many = under_equality(full, data_of(full, case, seed), MoveBlocking(blocks, H).matrix)
         assert few.status == "solved"
         assert many.status in ("solved", "solved inaccurate")  # within ten times 1e-9
-        np.testing.assert_allclose(qp.deviation(few.primal), many.primal[:H], atol=2e-6)
+        np.testing.assert_allclose(few_moves.deviation(few.primal), many.primal[:H], atol=2e-6)
 
 
 @pytest.mark.parametrize("weights", [HARD, SOFT], ids=["hard", "soft"])
 @pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
 def test_blocks_of_one_sample_are_no_blocks(case: Case, weights: WeightsSettings) -> None:
-    qp, full = blocked(weights, (1,) * H), TrackingQp(weights, LIMITS, H, DT)
+    programs = blocked(weights, (1,) * H), PlanProgram(weights, LIMITS, H, DT)
     for seed in range(5):
-        ours, theirs = (ActiveSetOptions().solver(q.pattern).solve(program(q, case, seed)) for q in (qp, full))
-        np.testing.assert_allclose(qp.deviation(ours.primal), full.deviation(theirs.primal), atol=1e-9)
+        ours, theirs = (p.deviation(exact(data_of(p, case, seed)).primal) for p in programs)
+        np.testing.assert_allclose(ours, theirs, atol=1e-9)
 
 
 @pytest.mark.parametrize("blocks", BLOCKS, ids=str)
 def test_program_is_the_planning_cost_where_the_model_is_linear(blocks: tuple[int, ...]) -> None:
-    problem, start = posed(LINEAR, H)
-    qp, cost = blocked(HARD, blocks), PlanCost(HARD, H)
-    data = program(qp, LINEAR, 0)
+    problem, program = posed(LINEAR, H), blocked(HARD, blocks)
+    data = problem.program(program, LINEAR.predictor)
     p, _, _ = dense(data)
+    before = problem.cost(HARD, problem.commands, problem.angles)
     for w in np.random.default_rng(1).normal(0, 0.2, (10, len(blocks))):
-        plans = np.array([start.commands, start.commands + qp.deviation(w)])
-        costs = cost(plans, LINEAR.predictor.rollout(problem.state, plans), problem)
-        assert costs[1] - costs[0] == pytest.approx(0.5 * w @ p @ w + data.gradient @ w, rel=1e-9)
+        moved = problem.at(LINEAR.predictor, problem.commands + program.deviation(w))
+        change = problem.cost(HARD, moved.commands, moved.angles) - before
+        assert change == pytest.approx(0.5 * w @ p @ w + data.gradient @ w, rel=1e-9)
 
 
 @given(lengths, st.integers(0, 5), st.integers(0, 10_000), st.sampled_from(SOUND))
 @settings(deadline=None)
 def test_every_sample_is_within_the_limits(blocks: tuple[int, ...], left: int, seed: int, case: Case) -> None:
     horizon = sum(blocks) + left
-    qp = blocked(HARD, blocks, horizon)
-    problem, start = posed(case, horizon, seed)
-    solution = ActiveSetOptions().solver(qp.pattern).solve(program(qp, case, seed, horizon))
+    program, problem = blocked(HARD, blocks, horizon), posed(case, horizon, seed)
+    solution = exact(problem.program(program, case.predictor))
     assert solution.usable
-    plan = start.commands + qp.deviation(solution.primal)
+    plan = problem.commands + program.deviation(solution.primal)
     assert np.all((plan >= LIMITS.lower - 1e-6) & (plan <= LIMITS.upper + 1e-6))
-    assert np.max(np.abs(np.diff(plan, prepend=problem.u_last))) <= REACH + 1e-6
+    assert np.max(np.abs(np.diff(plan, prepend=problem.task.u_last))) <= REACH + 1e-6
 
 
 def test_a_far_reference_is_approached_at_the_greatest_rate_across_block_edges() -> None:
-    problem, start = posed(LINEAR, H)
-    rest = replace(start, commands=np.full(H, problem.u_last))
-    rest = replace(rest, angles=LINEAR.predictor.rollout(problem.state, rest.commands[None])[0])
-    far = replace(problem, reference=np.full(H, 500.0), feedforward=rest.commands)
-    qp = blocked(HARD, (1, 3, 8))
-    data = qp.data(far, rest, LINEAR.predictor.linearise(far.state, rest.commands)[1])
-    solution = ActiveSetOptions().solver(qp.pattern).solve(data)
-    np.testing.assert_allclose(qp.deviation(solution.primal), REACH * np.arange(1, H + 1), atol=1e-6)
+    problem = posed(LINEAR, H)
+    rest = np.full(H, problem.task.u_last)
+    far = replace(problem, task=replace(problem.task, reference=np.full(H, 500.0), feedforward=rest))
+    program = blocked(HARD, (1, 3, 8))
+    solution = exact(far.at(LINEAR.predictor, rest).program(program, LINEAR.predictor))
+    np.testing.assert_allclose(program.deviation(solution.primal), REACH * np.arange(1, H + 1), atol=1e-6)
 
 
-@pytest.mark.parametrize("options", [ActiveSetOptions(), OsqpOptions()], ids=["active set", "OSQP"])
-def test_a_block_in_which_the_plan_moves_both_ways_at_the_limit_stays_as_it_is(
-    options: ActiveSetOptions | OsqpOptions,
-) -> None:
-    problem, start = posed(LINEAR, 4)
-    plan = problem.u_last + REACH * np.array([1.0, 0.0, 1.0, 1.0])
-    there = replace(start, commands=plan, angles=LINEAR.predictor.rollout(problem.state, plan[None])[0])
-    qp = blocked(HARD, (2, 2), 4)
-    data = qp.data(problem, there, LINEAR.predictor.linearise(problem.state, plan)[1])
-    solution = options.solver(qp.pattern).solve(data)
+@pytest.mark.parametrize("solver", ["active set", "OSQP"])
+def test_a_block_in_which_the_plan_moves_both_ways_at_the_limit_stays_as_it_is(solver: str) -> None:
+    problem = posed(LINEAR, 4)
+    there = problem.at(LINEAR.predictor, problem.task.u_last + REACH * np.array([1.0, 0.0, 1.0, 1.0]))
+    program = blocked(HARD, (2, 2), 4)
+    data = there.program(program, LINEAR.predictor)
+    solution = exact(data) if solver == "active set" else OsqpSolver(program.pattern, OsqpOptions()).solve(data)
     assert solution.usable
-    np.testing.assert_allclose(qp.deviation(solution.primal)[:2], 0.0, atol=1e-4)
+    np.testing.assert_allclose(program.deviation(solution.primal)[:2], 0.0, atol=1e-4)
 
 
 @pytest.mark.parametrize("weights", [HARD, SOFT], ids=["hard", "soft"])
 @pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
 def test_result_is_admissible_and_never_worse_than_the_start(weights: WeightsSettings, case: Case) -> None:
-    planner = LinearisedPlanner(case.predictor, mpc(weights, move_blocking=(1, 2, 4, 6)), LIMITS)
-    cost, better = PlanCost(weights, 20), 0
+    planner, better = Planner(case, mpc(weights, move_blocking=(1, 2, 4, 6))), 0
     for seed in range(20):
-        problem, start = posed(case, 20, seed)
-        start = cost.best(start.commands[None], start.angles[None], problem)
-        plan, _, _ = planner.improve(problem, start, planner.init(), Stopwatch())
-        assert plan.cost <= start.cost
-        better += plan.cost < 0.95 * start.cost
-        np.testing.assert_allclose(LIMITS.clip_plans(plan.commands, problem.u_last, DT), plan.commands, atol=1e-12)
+        problem = posed(case, 20, seed)
+        plan, start = planner.improve(problem), problem.cost(weights, problem.commands, problem.angles)
+        assert plan.cost <= start
+        better += plan.cost < 0.95 * start
+        limited = LIMITS.clip_plans(plan.commands, problem.task.u_last, DT)
+        np.testing.assert_allclose(limited, plan.commands, atol=1e-12)
     assert better > 10
 
 

@@ -33,7 +33,7 @@ QUICK: dict[str, dict[str, Any]] = {
 
 
 @cache
-def controller_for(kind: str, name: str, limits: CommandLimits, delay: int = 0) -> GuardedController[Any]:
+def controller_for(kind: str, name: str, limits: CommandLimits, delay: int = 0) -> GuardedController:
     case, variant = CASES[name], VARIANTS.get(kind, {"kind": kind})
     options = {**QUICK.get(variant["kind"], {}), **variant}
     if kind != "pid":

@@ -110,7 +110,7 @@ def test_a_delay_of_the_model_does_not_make_a_hold_end_late(kind: str) -> None:
 
 
 @cache
-def controller_for(kind: str, drive: str) -> GuardedController[Any]:
+def controller_for(kind: str, drive: str) -> GuardedController:
     options: dict[str, Any] = {"samples": 16} if kind == "sampling_mpc" else {}
     return build_controller(CONTROLLERS[kind].parse({"kind": kind, **options}), *model("backlash", drive), LIMITS)
 

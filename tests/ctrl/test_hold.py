@@ -1,76 +1,133 @@
-"""Laws of the hold rule."""
+"""Laws of the hold: a predictive controller on a straight line, whose observer says how far the angle is off."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.ctrl.mpc import Hold, HoldRule
-from hystmpc.ctrl.mpc_settings import HoldSettings
+from hystmpc.ctrl.command import Command, CommandLimits
+from hystmpc.ctrl.guarded import GuardedState
+from hystmpc.ctrl.mpc_settings import HoldSettings, LinearisedMpcSettings
+from hystmpc.models.model import Predictor
 from hystmpc.trials.errors import ConfigError
 
-DT, PATIENCE = 0.04, 10
-RULE = HoldRule(HoldSettings(tolerance_deg=0.03, patience_s=0.4, lead_s=0.0, settle_after_s=0.4, settle_s=0.12), DT)
+from .plays import DT, Lag, LagInverse
+from .scripted import scripted
+
+LIMITS = CommandLimits(0.0, 6.0, 12.0)
+PATIENCE, SETTLE, SLOPE = 10, 3, 10.0
+HOLD: dict[str, Any] = {
+    "tolerance_deg": 0.03,
+    "patience_s": 0.4,
+    "lead_s": 0.0,
+    "settle_after_s": 0.4,
+    "settle_s": SETTLE * DT,
+}
 H = 5
+STILL = np.full(H, 60.0)
+ANGLE, COMMAND = 60.0, 4.0
+line = Lag(a=0.0, g=SLOPE)
 
 
-def after(samples: int, error: float, sigma: float, rule: HoldRule = RULE) -> Hold:
-    """The answer after some samples at 60 deg, the held command being off by `error`."""
-    hold = Hold()
-    for _ in range(samples):
-        hold = rule.judge(hold, np.full(H, 60.0), np.full(H, 60.0 + error), sigma)
-    return hold
+class Bench:
+    """The controller at rest at 60 deg; `held` keeps its command, whatever it wants."""
+
+    def __init__(self, error: float = 0.0, predictor: Predictor = line, **hold: Any) -> None:
+        wanted = LinearisedMpcSettings(horizon=H, hold=HoldSettings(**{**HOLD, **hold}))
+        self.controller, self.script = scripted(wanted, predictor, LagInverse(line), LIMITS)
+        self._angle, self._command = ANGLE + error, COMMAND + error / SLOPE
+        self.state: GuardedState = self.controller.init(self._angle, self._command)
+
+    def step(self, reference: np.ndarray = STILL) -> Command:
+        command, self.state = self.controller.step(self.state, self._angle, reference)
+        return command
+
+    def held(self, samples: int) -> bool:
+        """Whether it holds after some samples."""
+        for _ in range(samples):
+            command = self.step()
+            assert command.u == self._command or not self.holding
+            self.state = self.controller.holding(self.state, self._command)
+        return self.holding
+
+    @property
+    def holding(self) -> bool:
+        return bool(self.state.head.holding)
+
+
+def after(samples: int, error: float, sigma: float) -> bool:
+    """Whether it holds after some samples at 60 deg, the held command being off by `error`."""
+    bench = Bench(error)
+    bench.script.sigma = sigma
+    return bench.held(samples)
 
 
 def test_close_enough_is_held_at_once() -> None:
-    assert after(2, 0.02, 0.0).holding
-    assert not after(2, 0.04, 10.0).holding
+    assert after(2, 0.02, 0.0)
+    assert not after(2, 0.04, 10.0)
 
 
+@settings(max_examples=10)
 @given(st.floats(0.1, 2.0), st.floats(0.01, 0.5))
 def test_noise_is_allowed_for_by_and_by(sigmas: float, sigma: float) -> None:
     patient = PATIENCE * (1 + int(np.ceil(sigmas)))
-    assert after(patient + 2, 0.03 + 0.99 * sigmas * sigma, sigma).holding
-    assert not after(300, 0.03 + 5.01 * sigma, sigma).holding
+    assert after(patient + 2, 0.03 + 0.99 * sigmas * sigma, sigma)
+    assert not after(6 * PATIENCE, 0.03 + 5.01 * sigma, sigma)
 
 
 def test_what_is_held_is_left_for_more_than_noise_alone() -> None:
-    held = Hold(holding=True, constant=20, target=60.0)
-    assert RULE.judge(held, np.full(H, 60.0), np.full(H, 60.4), 0.1).holding
-    assert not RULE.judge(held, np.full(H, 60.0), np.full(H, 60.6), 0.1).holding
+    for off, stays in ((0.4, True), (-0.4, True), (0.6, False), (-0.6, False)):
+        bench = Bench()
+        assert bench.held(20)
+        bench.script.disturbance, bench.script.sigma = off, 0.1
+        bench.step()
+        assert bench.holding is stays
 
 
 def test_a_slow_ramp_is_no_hold() -> None:
-    hold = Hold()
+    bench = Bench()
+    bench.script.sigma = 1.0
     for k in range(100):
-        wanted = 60.0 + 0.02 * np.arange(k, k + H, dtype=np.float64)
-        hold = RULE.judge(hold, wanted, np.full(H, wanted[0]), 1.0)
-        assert hold.constant <= 2
+        bench.step(60.0 + 0.02 * np.arange(k, k + H, dtype=np.float64))
+        assert bench.state.head.constant <= 2
 
 
 @pytest.mark.parametrize(("lead", "kept"), [(1, True), (3, False)])
 def test_the_lead_is_how_early_the_next_move_is_seen(lead: int, kept: bool) -> None:
-    rule = HoldRule(HoldSettings(tolerance_deg=0.03, lead_s=lead * DT), DT)
-    held, ahead = Hold(holding=True, constant=20, target=60.0), np.array([60.0, 60.0, 61.0, 62.0, 63.0])
-    assert rule.judge(held, ahead, np.full(H, 60.0), 0.0).holding is kept
+    bench = Bench(lead_s=lead * DT)
+    assert bench.held(20)
+    bench.step(np.array([60.0, 60.0, 61.0, 62.0, 63.0]))
+    assert bench.holding is kept
 
 
-@given(st.lists(st.floats(-3, 3), min_size=H, max_size=H), st.floats(0, 2), st.floats(0.1, 20))
-def test_limited_corrections_are_no_faster_and_no_farther(moves: list[float], error: float, slope: float) -> None:
-    plan, hold = np.cumsum(moves), Hold(constant=50, target=60.0)
-    limited = RULE.limited_correction(hold, plan, 0.0, error, slope)
-    assert np.all(np.abs(limited) <= np.abs(plan) + 1e-12)
-    assert np.abs(limited[0]) <= error / (3 * slope) + 1e-12
-    reach = max(abs(m) for m in moves)
-    assert np.max(np.abs(np.diff(limited, prepend=0.0))) <= reach + 1e-9
+def corrected(samples: int, off: float, **hold: Any) -> np.ndarray:
+    """Deviations of the plan (H,) from the command after some samples of rest, the angle being off from then on."""
+    bench = Bench(**hold)
+    assert bench.held(samples)
+    bench.script.disturbance = off
+    plan = bench.step().plan
+    assert not bench.holding
+    return plan - COMMAND
+
+
+@settings(max_examples=10)
+@given(st.floats(0.05, 3.0), st.sampled_from([-1.0, 1.0]))
+def test_limited_corrections_are_no_faster_and_no_farther(error: float, way: float) -> None:
+    limited, free = corrected(20, way * error), corrected(20, way * error, settle_s=0.0)
+    grain = 1e-7 * LIMITS.rate * DT
+    assert np.all(np.abs(limited) <= np.abs(free) + grain)
+    assert np.all(np.abs(limited) <= error / (SETTLE * SLOPE) * np.arange(1, H + 1) + grain)
+    assert np.max(np.abs(np.diff(limited, prepend=0.0))) <= LIMITS.rate * DT + grain
+    assert way * limited[0] < 0.0
 
 
 def test_before_a_hold_plans_are_left_alone() -> None:
-    plan = np.array([1.0, 2.0, 3.0])
-    assert RULE.limited_correction(Hold(constant=2), plan, 0.0, 0.1, 10.0) is plan
-    assert RULE.limited_correction(Hold(constant=50), plan, 0.0, 0.1, 0.0) is plan
+    np.testing.assert_array_equal(corrected(2, 0.5), corrected(2, 0.5, settle_s=0.0))
+    assert not np.array_equal(corrected(20, 0.5), corrected(20, 0.5, settle_s=0.0))
 
 
 def test_nonsense_is_refused() -> None:

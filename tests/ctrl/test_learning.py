@@ -11,6 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hystmpc.core.library import engine
+from hystmpc.core.structs import layout
 from hystmpc.ctrl.build import build_controller, learning_pair
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.config import CONTROLLERS
@@ -24,9 +25,7 @@ from hystmpc.ctrl.learning.bank import (
     LEARNED_SIZE,
     OF_WEIGHTS,
     BankState,
-    Basis,
     FilterBank,
-    Learner,
 )
 from hystmpc.ctrl.learning.predictor import LearnedInverse, LearnedPredictor
 from hystmpc.ctrl.mpc_settings import AdaptationSettings
@@ -92,7 +91,9 @@ def test_without_weights_it_is_the_model(drive: tuple[int, int], seed: int) -> N
 def test_python_and_c_lay_out_the_same_numbers() -> None:
     sizes = np.zeros(4, np.intc)
     engine().learning_bytes(sizes)
-    assert sizes.tolist() == [ctypes.sizeof(Basis), ctypes.sizeof(Learner), FILTERS.itemsize, 8 * LEARNED_SIZE]
+    read = [ctypes.sizeof(layout(f"hystmpc_{name}")) for name in ("basis", "learner", "filters", "learned")]
+    assert sizes.tolist() == read
+    assert read[2:] == [FILTERS.itemsize, 8 * LEARNED_SIZE]
 
 
 @given(st.floats(0.0, 6.0), st.integers(0, 100))

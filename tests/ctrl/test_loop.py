@@ -20,7 +20,7 @@ CASE = PLAY
 
 
 @pytest.fixture
-def controller() -> GuardedController[Any]:
+def controller() -> GuardedController:
     settings = CONTROLLERS["linearised_mpc"].parse({"horizon": 5})
     return build_controller(settings, CASE.predictor, CASE.inverse, CommandLimits(0.0, 6.0, 12.0))
 
@@ -34,7 +34,7 @@ def ramp(k: int) -> np.ndarray:
     return 30.0 + 0.5 * (k + np.arange(5))
 
 
-def test_rows_of_the_log_belong_to_the_same_instant(controller: GuardedController[Any], plant: ModelPlant) -> None:
+def test_rows_of_the_log_belong_to_the_same_instant(controller: GuardedController, plant: ModelPlant) -> None:
     seen: list[float] = []
     log = run_loop(controller, plant, ramp, 40, on_sample=lambda sample: seen.append(sample.measured_deg))
     np.testing.assert_allclose(log.time_s, DT * np.arange(1, 41))
@@ -49,9 +49,7 @@ def test_rows_of_the_log_belong_to_the_same_instant(controller: GuardedControlle
     assert not log.interrupted
 
 
-def test_keyboard_interrupt_stops_the_plant_and_keeps_the_log(
-    controller: GuardedController[Any], plant: ModelPlant
-) -> None:
+def test_keyboard_interrupt_stops_the_plant_and_keeps_the_log(controller: GuardedController, plant: ModelPlant) -> None:
     def interrupt(sample: Any) -> None:
         if sample.time_s > 10.5 * DT:
             raise KeyboardInterrupt
@@ -62,7 +60,7 @@ def test_keyboard_interrupt_stops_the_plant_and_keeps_the_log(
     assert plant.stopped
 
 
-def test_plant_is_stopped_when_it_fails(controller: GuardedController[Any], plant: ModelPlant) -> None:
+def test_plant_is_stopped_when_it_fails(controller: GuardedController, plant: ModelPlant) -> None:
     def fail(u: float) -> float:
         raise OSError("the drive is gone")
 
@@ -72,12 +70,12 @@ def test_plant_is_stopped_when_it_fails(controller: GuardedController[Any], plan
     assert plant.stopped
 
 
-def test_other_sample_time_is_refused(controller: GuardedController[Any], plant: ModelPlant) -> None:
+def test_other_sample_time_is_refused(controller: GuardedController, plant: ModelPlant) -> None:
     plant.dt = 0.02
     with pytest.raises(ControllerError, match=r"controller at 0\.04 s and a plant at 0\.02 s"):
         run_loop(controller, plant, ramp, 1)
 
 
-def test_no_steps_give_an_empty_log(controller: GuardedController[Any], plant: ModelPlant) -> None:
+def test_no_steps_give_an_empty_log(controller: GuardedController, plant: ModelPlant) -> None:
     log = run_loop(controller, plant, ramp, 0)
     assert log.time_s.size == log.step_s.size == len(log.source) == 0

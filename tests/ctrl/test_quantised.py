@@ -15,8 +15,6 @@ from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.config import parse_controller
 from hystmpc.ctrl.estimation.noise import NoiseBank
 from hystmpc.ctrl.feedback import PidSettings, SupervisorSettings, feedback_gains
-from hystmpc.ctrl.mpc import Hold, HoldRule
-from hystmpc.ctrl.mpc_settings import HoldSettings
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import NoiseModel
 from hystmpc.models.model import Inverse, Predictor
@@ -25,6 +23,8 @@ from hystmpc.models.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from hystmpc.trials.types import Vec
 
 from .plays import DRIVEN, DT, PLAY, SOUND, Backlash, Case, compiled
+from .plays import Lag as Line
+from .test_hold import Bench
 
 LIMITS = CommandLimits(0.0, 6.0, 12.0)
 HOLD_S, RESTS_S = 12.0, 2.0
@@ -145,13 +145,19 @@ def test_without_its_steps_the_same_loop_hunts() -> None:
     assert not rests(commands)
 
 
-@given(st.floats(0.05, 3.0), st.floats(0.0, 0.5), st.floats(-1.5, 1.5))
+@settings(max_examples=20)
+@given(
+    st.floats(0.05, 3.0), st.floats(0.0, 0.5), st.floats(-1.5, 1.5).filter(lambda share: abs(abs(share) - 1.0) > 1e-6)
+)
 def test_what_is_held_is_left_for_more_than_a_step(step: float, sigma: float, share: float) -> None:
-    rule = HoldRule(HoldSettings(tolerance_deg=0.03), DT, 0, step)
-    wanted, error = np.full(5, 60.0), share * (step + 5.0 * sigma + 0.03)
-    held = rule.judge(Hold(True, 20, 60.0), wanted, wanted + error, sigma)
-    assert held.holding == (abs(share) <= 1.0)
-    assert not rule.judge(Hold(False, 5, 60.0), wanted, wanted + 0.04, 0.0).holding  # it is entered as without steps
+    line = Line(a=0.0)
+    object.__setattr__(line, "noise", noise_of(step))
+    bench = Bench(predictor=line)
+    assert bench.held(20)
+    bench.script.sigma, bench.script.disturbance = sigma, share * (step + 5.0 * sigma + 0.03)
+    bench.step()
+    assert bench.holding == (abs(share) < 1.0)
+    assert not Bench(0.04, line).held(2)  # it is entered as without steps
 
 
 @given(steps_deg)

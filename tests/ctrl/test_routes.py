@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hystmpc.ctrl.linearised.qp import ActiveSetOptions
 from hystmpc.models.inverse.inverses import AccompaniedPredictor, CompanionInverse
 from hystmpc.models.kinds.catalogue import all_kinds
 from hystmpc.models.load import library_file
@@ -64,7 +63,7 @@ COMPARED = [
     ("kind", "blocks"), [*((kind, None) for kind in COMPARED), ("pi", (1, 2, 4, 8)), ("gru", (1, 2, 4, 8))]
 )
 def test_two_routes_give_one_command(kind: str, blocks: tuple[int, ...] | None) -> None:
-    fast, slow = (controller_for(*pair, ActiveSetOptions(), blocks) for pair in routes(kind))
+    fast, slow = (controller_for(*pair, None, blocks) for pair in routes(kind))
     y = float(fast.init(45.0, 1.0).estimate.angles[0])
     ours, theirs = compared(fast, slow, y, 1.0, 15)
     assert np.ptp(ours) > 0.1

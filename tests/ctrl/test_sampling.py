@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from hystmpc.core.library import engine
-from hystmpc.ctrl.command import CommandPlan, Stopwatch
-from hystmpc.ctrl.linearised.planner import LinearisedPlanner
 from hystmpc.ctrl.linearised.qp import OsqpOptions
-from hystmpc.ctrl.mpc import PlanCost, Planner, PlanningError
 from hystmpc.ctrl.mpc_settings import (
     ColouredNoiseSettings,
     LinearisedMpcSettings,
@@ -20,11 +16,11 @@ from hystmpc.ctrl.mpc_settings import (
     SplineNoiseSettings,
     WeightsSettings,
 )
-from hystmpc.ctrl.sampling import CrossEntropyPlanner, PathIntegralPlanner, SampleCounter
+from hystmpc.models.model import Predictor
 from hystmpc.trials.errors import ConfigError, ControllerError
 
+from .planners import LIMITS, Planner, Problem, posed
 from .plays import DT, LINEAR, PLAY, SOUND, Case, Faulty, not_a_number
-from .test_linearised import LIMITS, posed
 from .test_tracking import built, resting, scan, track
 
 H = 20
@@ -34,19 +30,16 @@ NOISES: dict[str, SplineNoiseSettings | ColouredNoiseSettings] = {
     "red": ColouredNoiseSettings(exponent=2.0),
     "white": ColouredNoiseSettings(exponent=0.0),
 }
+METHODS: tuple[Any, ...] = ("mppi", "cem")
 
 
-METHODS: dict[str, Any] = {"mppi": PathIntegralPlanner, "cem": CrossEntropyPlanner}
-
-
-def planner_for(case: Case, noise: str = "spline", method: str = "mppi", **options: Any) -> Planner[SampleCounter]:
+def planner_for(case: Case, noise: str = "spline", predictor: Predictor | None = None, **options: Any) -> Planner:
     settings = SamplingMpcSettings(weights=WEIGHTS, horizon=H, noise=NOISES[noise], **options)
-    return METHODS[method](case.predictor, settings, LIMITS)
+    return Planner(case, settings, predictor)
 
 
-def started(case: Case, seed: int) -> tuple[Any, CommandPlan]:
-    problem, plan = posed(case, H, seed)
-    return problem, PlanCost(WEIGHTS, H).best(plan.commands[None], plan.angles[None], problem)
+def cost_before(problem: Problem) -> float:
+    return problem.cost(WEIGHTS, problem.commands, problem.angles)
 
 
 @pytest.mark.parametrize("name", NOISES)
@@ -67,69 +60,50 @@ def test_white_noise_is_white_and_red_noise_is_smooth() -> None:
 @pytest.mark.parametrize("noise", NOISES)
 @pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
 def test_result_is_admissible_and_never_worse_than_the_start(case: Case, noise: str, method: str) -> None:
-    planner = planner_for(case, noise, method, samples=64)
+    planner = planner_for(case, noise, method=method, samples=64)
     better = 0
     for seed in range(10):
-        problem, start = started(case, seed)
-        plan, status, _ = planner.improve(problem, start, planner.init(), Stopwatch())
-        better += plan.cost < start.cost
-        assert status == "ok"
-        assert plan.cost <= start.cost
-        np.testing.assert_allclose(LIMITS.clip_plans(plan.commands, problem.u_last, DT), plan.commands, atol=1e-12)
+        problem = posed(case, H, seed)
+        plan, start = planner.improve(problem), cost_before(problem)
+        better += plan.cost < start
+        assert plan.answer == 0
+        assert plan.cost <= start
+        limited = LIMITS.clip_plans(plan.commands, problem.task.u_last, DT)
+        np.testing.assert_allclose(limited, plan.commands, atol=1e-12)
     assert better == 10  # a random start is far from the optimum
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_random_numbers_depend_on_seed_and_step_alone(method: str) -> None:
-    case = PLAY
-    problem, start = started(case, 0)
-    planner = planner_for(case, method=method, samples=32)
-    first, _, after = planner.improve(problem, start, SampleCounter(7), Stopwatch())
-    planner.improve(problem, start, after, Stopwatch())
-    again, _, _ = planner_for(case, method=method, samples=32).improve(problem, start, SampleCounter(7), Stopwatch())
+    problem, planner = posed(PLAY, H), planner_for(PLAY, method=method, samples=32)
+    first = planner.improve(problem, 7)
+    assert first.draws == 8
+    planner.improve(problem, first.draws)
+    again = planner_for(PLAY, method=method, samples=32).improve(problem, 7)
     np.testing.assert_array_equal(first.commands, again.commands)
-    assert after == SampleCounter(8)
-    for other, counter in ((planner_for(case, method=method, samples=32, seed=1), 7), (planner, 8)):
-        different, _, _ = other.improve(problem, start, SampleCounter(counter), Stopwatch())
-        assert not np.array_equal(first.commands, different.commands)
-
-
-def test_more_iterations_do_not_cost_more() -> None:
-    problem, start = started(LINEAR, 1)
-    costs = []
-    for iterations in (1, 2, 4, 8):
-        planner = planner_for(LINEAR, iterations=iterations)
-        costs.append(planner.improve(problem, start, planner.init(), Stopwatch())[0].cost)
-    assert costs == sorted(costs, reverse=True)
+    for other, draws in ((planner_for(PLAY, method=method, samples=32, seed=1), 7), (planner, 8)):
+        assert not np.array_equal(first.commands, other.improve(problem, draws).commands)
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_many_iterations_find_the_optimum_of_a_linear_model(method: str) -> None:
-    problem, start = started(LINEAR, 1)
-    exact = LinearisedPlanner(
-        LINEAR.predictor,
-        LinearisedMpcSettings(weights=WEIGHTS, horizon=H, iterations=3),
-        LIMITS,
-        OsqpOptions(eps=1e-8, iterations=20_000),
-    )
-    optimum, _, _ = exact.improve(problem, start, None, Stopwatch())
-    planner = planner_for(LINEAR, "red", method, iterations=40)
-    plan, _, _ = planner.improve(problem, start, planner.init(), Stopwatch())
-    assert plan.cost <= optimum.cost + 0.05 * (start.cost - optimum.cost)
+    problem = posed(LINEAR, H, 1)
+    settings = LinearisedMpcSettings(weights=WEIGHTS, horizon=H, iterations=3)
+    optimum = Planner(LINEAR, settings, options=OsqpOptions(eps=1e-8, iterations=20_000)).improve(problem)
+    plan = planner_for(LINEAR, "red", method=method, iterations=40).improve(problem)
+    assert plan.cost <= optimum.cost + 0.05 * (cost_before(problem) - optimum.cost)
 
 
 @pytest.mark.parametrize("horizon", [20, 60])
 @pytest.mark.parametrize("seed", range(5))
 def test_one_iteration_finds_the_optimum_in_blocked_moves_of_a_linear_model(horizon: int, seed: int) -> None:
     ours = SamplingMpcSettings(weights=WEIGHTS, horizon=horizon, seed=seed)
-    exact = LinearisedMpcSettings(weights=WEIGHTS, horizon=horizon, move_blocking=ours.blocks(DT))
-    problem, plan = posed(LINEAR, horizon, seed)
-    start = PlanCost(WEIGHTS, horizon).best(plan.commands[None], plan.angles[None], problem)
-    optimum, _, _ = LinearisedPlanner(LINEAR.predictor, exact, LIMITS).improve(problem, start, None, Stopwatch())
-    planner = PathIntegralPlanner(LINEAR.predictor, ours, LIMITS)
-    found, _, _ = planner.improve(problem, start, planner.init(), Stopwatch())
-    assert found.cost <= optimum.cost + 0.05 * (start.cost - optimum.cost)
-    np.testing.assert_allclose(LIMITS.clip_plans(found.commands, problem.u_last, DT), found.commands, atol=1e-12)
+    settings = LinearisedMpcSettings(weights=WEIGHTS, horizon=horizon, move_blocking=ours.blocks(DT))
+    problem = posed(LINEAR, horizon, seed)
+    optimum, plan = Planner(LINEAR, settings).improve(problem), Planner(LINEAR, ours).improve(problem)
+    assert plan.cost <= optimum.cost + 0.05 * (cost_before(problem) - optimum.cost)
+    limited = LIMITS.clip_plans(plan.commands, problem.task.u_last, DT)
+    np.testing.assert_allclose(limited, plan.commands, atol=1e-12)
 
 
 @pytest.mark.slow
@@ -179,13 +153,9 @@ def test_perturbations_follow_the_rate_limit_unless_they_are_given() -> None:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_predictions_that_are_not_finite_are_a_planning_error(method: str) -> None:
-    problem, start = started(PLAY, 0)
-    planner = planner_for(
-        replace(PLAY, build=lambda: (Faulty(PLAY.predictor, not_a_number, -1.0), PLAY.inverse)), method=method
-    )
-    with pytest.raises(PlanningError, match="has a finite prediction"):
-        planner.improve(problem, start, planner.init(), Stopwatch())
+def test_predictions_that_are_not_finite_are_no_plan(method: str) -> None:
+    planner = planner_for(PLAY, predictor=Faulty(PLAY.predictor, not_a_number, -1.0), method=method)
+    assert planner.improve(posed(PLAY, H)).words == "no random plan has a finite prediction"
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,31 +10,37 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hystmpc.ctrl.build import build_controller
-from hystmpc.ctrl.command import CommandLimits, Source, Stopwatch
+from hystmpc.ctrl.command import CommandLimits, Source
 from hystmpc.ctrl.config import CONTROLLERS
-from hystmpc.ctrl.feedback import PidSettings, SupervisorSettings, SupervisoryLaw, feedback_gains
-from hystmpc.ctrl.guarded import GuardedController, GuardedState
-from hystmpc.ctrl.learning.predictor import Learning
+from hystmpc.ctrl.feedback import LEVELS, PidSettings, SupervisorSettings, feedback_gains
+from hystmpc.ctrl.guarded import GuardedController
+from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
+from hystmpc.ctrl.problem import problem_of
 from hystmpc.trials.errors import ConfigError
 
-from .plays import DT, SOUND, Backlash, with_entries
+from .plays import DT, SOUND, Backlash
+from .scripted import Scripted, scripted
 
 LIMITS = CommandLimits(0.0, 6.0, 10.0)
 GAINS = {"kp_per_deg": 0.02, "ki_per_deg_s": 0.15}
+THRESHOLDS = SupervisorSettings()
 
 
-def controller(**given: object) -> GuardedController[object]:
+def asked(**block: Any) -> LinearisedMpcSettings:
+    return LinearisedMpcSettings.parse({"kind": "linearised_mpc", **block})
+
+
+def controller() -> tuple[GuardedController, Scripted]:
+    """A supervised controller, and its observer, which says how bad the forecasts have been."""
     case = SOUND[0]
-    asked = CONTROLLERS["linearised_mpc"].parse({"kind": "linearised_mpc", "supervisor": {"pid": GAINS, **given}})
-    return build_controller(asked, case.predictor, case.inverse, LIMITS)
+    return scripted(asked(supervisor={"pid": GAINS}), case.predictor, case.inverse, LIMITS)
 
 
-def with_forecast_error(state: GuardedState[Any], forecast_error: float) -> GuardedState[Any]:
-    """The state of a controller whose forecasts have been so bad."""
-    learning = state.estimate.learning
-    assert isinstance(learning, Learning)
-    learning = replace(learning, bank=with_entries(learning.bank, forecast_error=forecast_error))
-    return replace(state, estimate=replace(state.estimate, learning=learning, forecast_error=forecast_error))
+def expected(level: int, forecast_error: float) -> int:
+    """A level is left above its threshold, and taken again below half of it."""
+    thresholds = np.array([THRESHOLDS.inverse_pid_above, THRESHOLDS.pid_above])
+    worst, best = int(np.sum(forecast_error > thresholds)), int(np.sum(forecast_error > 0.5 * thresholds))
+    return max(worst, min(level, best))
 
 
 @given(
@@ -47,20 +52,18 @@ def with_forecast_error(state: GuardedState[Any], forecast_error: float) -> Guar
 @settings(max_examples=40, deadline=None)
 def test_the_transfer_to_feedback_is_bumpless(forecast_errors: list[float], wanted: float, drift: float) -> None:
     """Whatever the forecasts do, limits hold, and the first command of a law that takes over is the last one sent."""
-    loop, y = controller(), 40.0
-    law = loop.law
-    assert isinstance(law, SupervisoryLaw)
+    (loop, script), y = controller(), 40.0
     state = loop.init(y, 1.5)
-    for forecast_error in forecast_errors:
-        state = with_forecast_error(state, forecast_error)
-        before, level = state.estimate.command, state.memory.level
+    for script.forecast_error in forecast_errors:
+        before, level = state.estimate.command, state.head.level
+        script.disturbance = y - state.estimate.angles[0]
         reference = wanted + drift * np.arange(loop.horizon)
         command, state = loop.step(state, y, reference)
-        assert state.fallback.failures == 0
-        assert state.memory.level == law._level(level, state.estimate.forecast_error)
+        assert state.head.failures == 0
+        assert state.head.level == expected(level, script.forecast_error)
         assert LIMITS.lower <= command.u <= LIMITS.upper
         assert abs(command.u - before) <= LIMITS.rate * DT + 1e-12
-        if state.memory.level != level and state.memory.level != "mpc":
+        if state.head.level not in (level, 0):
             assert command.u == pytest.approx(before, abs=1e-9)
         y += 0.3 * float(np.tanh(command.u - before))
 
@@ -72,24 +75,32 @@ def test_the_transfer_to_feedback_is_bumpless(forecast_errors: list[float], want
 def test_the_level_follows_the_forecasts_and_stands_in_the_log(
     forecast_error: float, level: str, source: Source
 ) -> None:
-    loop = controller()
-    state = loop.init(40.0, 1.5)
-    law = loop.law
-    assert isinstance(law, SupervisoryLaw)
-    given_ = loop._input(with_forecast_error(state, forecast_error), np.full(loop.horizon, 45.0))
-    proposal = law.propose(state.memory, given_, Stopwatch())
-    assert proposal.memory.level == level
-    assert proposal.source == source
-    assert ("forecasts" in proposal.status) == (level != "mpc")
+    loop, script = controller()
+    script.forecast_error = forecast_error
+    command, state = loop.step(loop.init(40.0, 1.5), 40.0, np.full(loop.horizon, 45.0))
+    assert LEVELS[state.head.level] == level
+    assert command.source == source
+    assert command.status == (
+        "ok" if level == "mpc" else f"{level}: forecasts are off by {100 * forecast_error:.0f} % of the motion"
+    )
 
 
-def test_a_better_level_takes_over_only_where_forecasts_are_twice_as_good() -> None:
-    law = controller().law
-    assert isinstance(law, SupervisoryLaw)
-    thresholds = SupervisorSettings()
-    assert law._level("pid", 0.9 * thresholds.pid_above) == "pid"
-    assert law._level("pid", 0.4 * thresholds.inverse_pid_above) == "mpc"
-    assert law._level("mpc", 0.9 * thresholds.inverse_pid_above) == "mpc"
+@pytest.mark.parametrize(
+    ("first", "then", "level"),
+    [
+        (1.15, 0.9 * THRESHOLDS.pid_above, "pid"),
+        (1.15, 0.4 * THRESHOLDS.inverse_pid_above, "mpc"),
+        (0.0, 0.9 * THRESHOLDS.inverse_pid_above, "mpc"),
+    ],
+)
+def test_a_better_level_takes_over_only_where_forecasts_are_twice_as_good(
+    first: float, then: float, level: str
+) -> None:
+    loop, script = controller()
+    state, reference = loop.init(40.0, 1.5), np.full(loop.horizon, 45.0)
+    for script.forecast_error in (first, then):
+        _, state = loop.step(state, 40.0, reference)
+    assert LEVELS[state.head.level] == level
 
 
 class Stranger:
@@ -107,14 +118,15 @@ class Stranger:
 
 @pytest.mark.slow
 def test_worthless_forecasts_end_in_feedback_within_limits() -> None:
-    loop, device = controller(), Stranger(3)
+    case, device = SOUND[0], Stranger(3)
+    loop = build_controller(asked(supervisor={"pid": GAINS}), case.predictor, case.inverse, LIMITS)
     state, y, last, levels = loop.init(45.0, 2.0), 45.0, 2.0, []
     for k in range(1500):
         wanted = 45.0 + 4.0 * np.sin(0.15 * (k + np.arange(1, loop.horizon + 1)))
         command, state = loop.step(state, y, wanted)
         assert abs(command.u - last) <= LIMITS.rate * DT + 1e-12
         y, last = device.apply(command.u), command.u
-        levels.append(state.memory.level)
+        levels.append(LEVELS[state.head.level])
     assert {"inverse_pid", "pid"} & set(levels)
 
 
@@ -128,16 +140,16 @@ def test_gains_that_nobody_gave_follow_from_the_static_gain() -> None:
 def test_without_learning_there_is_no_supervisor() -> None:
     case = SOUND[0]
     for block in ({"adaptation": None}, {"supervisor": None}, {"estimator": {"sensor": "none"}}):
-        asked = CONTROLLERS["linearised_mpc"].parse({"kind": "linearised_mpc", **block})
-        assert not isinstance(build_controller(asked, case.predictor, case.inverse, LIMITS).law, SupervisoryLaw)
+        law = problem_of(asked(**block), case.predictor, case.inverse, LIMITS).fields["law"]
+        assert not law.fields.get("supervised")
 
 
 def test_settings_say_what_is_off_and_a_supervisor_without_learning_is_refused() -> None:
     kind = CONTROLLERS["linearised_mpc"]
     for block in ({"adaptation": None}, {"estimator": {"sensor": "intermittent"}}, {"estimator": {"sensor": "none"}}):
-        asked = kind.parse({"kind": "linearised_mpc", **block}).model_dump(mode="json")
-        assert (asked["adaptation"], asked["supervisor"]) == (None, None)
-        assert kind.parse(asked).model_dump(mode="json") == asked
+        plain = kind.parse({"kind": "linearised_mpc", **block}).model_dump(mode="json")
+        assert (plain["adaptation"], plain["supervisor"]) == (None, None)
+        assert kind.parse(plain).model_dump(mode="json") == plain
     with pytest.raises(ConfigError, match="expected supervisor null"):
         kind.parse({"kind": "linearised_mpc", "adaptation": None, "supervisor": {}})
 

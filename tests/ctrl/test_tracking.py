@@ -36,7 +36,7 @@ def smooth_moves(t: np.ndarray) -> np.ndarray:
 
 
 def track(
-    controller: GuardedController[Any],
+    controller: GuardedController,
     plant: ModelPlant,
     motion: Callable[[np.ndarray], np.ndarray],
     seconds: float,
@@ -51,7 +51,7 @@ def track(
     return log, np.array(plant.true[1:]) - log.reference_deg
 
 
-def built(kind: str, case: Case, limits: CommandLimits = LIMITS, **options: Any) -> GuardedController[Any]:
+def built(kind: str, case: Case, limits: CommandLimits = LIMITS, **options: Any) -> GuardedController:
     settings = CONTROLLERS[kind].parse({"kind": kind, **options})
     return build_controller(settings, case.predictor, case.inverse, limits)
 

@@ -18,10 +18,9 @@ from typing import Any
 
 import pytest
 
-from hystmpc.codegen.compiler import EXPECTED, compiler
 from hystmpc.models.load import library_file
 from hystmpc.models.simulator import load_simulator, save_simulator
-from hystmpc.rig.compiled.controller import available
+from hystmpc.rig.compiled.loop import available
 from hystmpc.rig.config import RunSettings
 from hystmpc.rig.experiment.experiment import run_experiment
 from hystmpc.rig.live.desk import E_STOP, Desk, LiveSettings
@@ -30,18 +29,15 @@ from hystmpc.rig.recording.sample import Sample
 from hystmpc.rig.run import BenchResult
 from hystmpc.rig.transports.udp import Datagram, Kind, decode, encode
 
-pytestmark = pytest.mark.slow
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not available(), reason="a system without sockets of POSIX"),
+]
 
 RATE_HZ, RATE_PER_S = 200.0, 30.0
 SESSION = 7
 # One message of the device to what arrives in its place.
 Spoil = Callable[[Datagram], list[bytes]]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _compiles() -> None:
-    if compiler() is None or not available():
-        pytest.skip(f"no C compiler ({EXPECTED}), or a system without sockets of POSIX")
 
 
 def whole(message: Datagram) -> list[bytes]:
@@ -113,7 +109,7 @@ class Kept:
 
 
 def run(tip: Tip, folder: Path, kept: Kept, desk: Desk | None = None, **changes: Any) -> BenchResult:
-    """A sine with a controller in C."""
+    """A sine with the loop in C."""
     with tip.listening() as port:
         settings = RunSettings.parse(
             {
@@ -145,7 +141,7 @@ def run(tip: Tip, folder: Path, kept: Kept, desk: Desk | None = None, **changes:
 
 @cache
 def models() -> tempfile.TemporaryDirectory[str]:
-    """One folder for all runs: the C of a controller names its model's file, and a text is compiled once a process."""
+    """One folder for all runs."""
     folder = tempfile.TemporaryDirectory()
     save_simulator(load_simulator(library_file("pi")).at_sample_time(1 / RATE_HZ), Path(folder.name) / "pi.yaml")
     return folder

@@ -8,17 +8,22 @@ import socket
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from hystmpc.core.structs import constants, layout, struct
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.estimation.observer import Observer
 from hystmpc.ctrl.guarded import GuardedController
+from hystmpc.ctrl.planner.settings import TipSettings, assemble
 from hystmpc.rig.compiled.loop import CompiledLoop, available
+from hystmpc.rig.experiment.experiment import LATE
 from hystmpc.rig.transports.udp import Datagram, Kind, decode, encode
+from hystmpc.trials.types import Vec
 
 pytestmark = [
     pytest.mark.slow,
@@ -27,6 +32,7 @@ pytestmark = [
 
 NS, DT_S, SESSION = 1_000_000_000, 0.01, 7
 HURRIED = constants()["HYSTMPC_NO_TIME"]
+REFERENCE: Vec = 45.0 + 12.0 * np.sin(0.15 * np.arange(constants()["HYSTMPC_REFERENCES"]))
 
 
 @dataclass
@@ -78,6 +84,9 @@ class Ride:
     settings: dict[str, float] = field(default_factory=dict)
     law: Law = field(default_factory=Law)
     commands: list[float] = field(default_factory=list)
+    controller: GuardedController | None = None  # in place of one around the law
+    before: Any = None  # its states at both ends
+    after: Any = None
     hurried: int = 0  # samples without a plan
     skipped: int = 0  # samples that had passed wholly
 
@@ -87,10 +96,11 @@ class Ride:
         ours.setblocking(False)
         theirs.setblocking(False)
         with ours, theirs:
-            controller = controller_of(self.law)
-            loop = CompiledLoop(controller)
-            loop.take_up(controller.init(30.0, 1.0))
+            controller = self.controller or controller_of(self.law)
+            loop, self.before = CompiledLoop(controller), controller.init(30.0, 1.0)
+            loop.take_up(self.before)
             self._begin(loop, ours.fileno())
+            loop.view.reference[:] = REFERENCE.tolist()
             asked, view = ctypes.c_int(0), loop.view
             thread = threading.Thread(target=loop.run, args=(asked,), daemon=True)
             began, sequence, shown = time.monotonic(), 0, -1
@@ -107,6 +117,7 @@ class Ride:
             asked.value = 1
             thread.join(5.0)
             self._taken(theirs)
+            self.after = loop.after(self.before)
             samples = view.samples[: view.written]
             self.hurried = sum(sample.answer.status == HURRIED for sample in samples)
             self.skipped = sum(sample.skipped for sample in samples)
@@ -199,3 +210,38 @@ def test_travel_without_motion_counts_as_a_lag_follows_it(ride: Ride) -> None:
     reason, view = ride.run()
     assert reason == "motion or held command"
     assert 0.25 < view.written * DT_S < 0.6
+
+
+CONTROLLERS: dict[str, dict[str, Any]] = {
+    "learning, supervised": {"kind": "linearised_mpc"},
+    "with a delay": {"kind": "linearised_mpc", "adaptation": None, "estimator": {"delay_samples": 2}},
+    "random plans": {"kind": "sampling_mpc"},
+    "inverse and PID": {"kind": "inverse_pid"},
+    "PID": {"kind": "pid"},
+}
+
+
+@pytest.mark.parametrize("kind", CONTROLLERS)
+def test_samples_in_c_are_steps_of_the_controller_of_python(kind: str, ride: Ride) -> None:
+    """Command, words and memory to the last bit: also of samples without an angle, late ones, skipped ones."""
+    settings = TipSettings.parse({"model": "builtin:pi", "controller": CONTROLLERS[kind]})
+    controller = assemble(settings, Path()).controller
+    ride.controller, ride.settings = controller, {"dt_s": DT_S, "skipped": 2}
+    ride.shows = lambda t: [] if 0.1 < t < 0.14 else [(40.0 - 10.0 * math.cos(4.0 * t), 0.0)]
+    _, view = ride.run(0.7)
+    state, steps, stalled, hurried = ride.before, 0, 0, False
+    assert view.written > 20
+    for sample in view.samples[: view.written]:
+        for _ in range(sample.skipped):
+            state = controller.step(state, math.nan, np.empty(0))[1]
+        steps += sample.skipped
+        wanted = REFERENCE[np.arange(steps + 1, steps + 1 + controller.horizon) % REFERENCE.size]
+        refusal = LATE if hurried or sample.skipped else ""
+        command, state = controller.step(replace(state, refusal=refusal), sample.angle_deg, wanted)
+        same = CompiledLoop.command(sample, stalled, LATE)
+        assert (same.u, same.source, same.status) == (command.u, command.source, command.status)
+        assert same.disturbance == command.disturbance
+        assert (sample.due_deg, sample.failures) == (state.due, state.head.failures)
+        steps, stalled = steps + 1, sample.stalled
+        hurried = sample.done_ns > sample.deadline_ns + view.dt_ns
+    assert bytes(ride.after.memory) == bytes(state.memory)

@@ -11,7 +11,7 @@ import pytest
 
 from ..conftest import ROOT
 
-PYTHON = ("trials", "models", "ctrl", "codegen", "sim", "rig", "gap", "testing", "bench")
+PYTHON = ("core", "trials", "models", "ctrl", "codegen", "sim", "rig", "gap", "testing", "bench")
 PYTHON += ("lab", "cli", "ros2", "examples")
 # Calls that may carry a command: of a transport or its wire, of a plant, of a socket.
 SENDS = {"write", "apply", "send", "sendto", "publish", "_send"}
@@ -22,7 +22,7 @@ HOLDERS = re.compile(r"transport|wire|device|plant|inner|publisher|writer|_line$
 THE_GATE = {
     "rig/loop.py: self._transport.write": 1,  # behind `Gate.admissible` and `Anchor.in_time`
     "rig/loop.py: self._send": 1,  # which holds that line
-    "rig/compiled/loop.c: send": 1,  # the same judgements in C; whatever they find is left to Python
+    "core/loop.c: send": 1,  # the same judgements in C; whatever they find is left to Python
     "ros2/hystmpc_controller/src/controller.cpp: set_value": 1,  # the exported controller's limits, stop and model
     "ros2/hystmpc_controller/src/controller.cpp: write": 3,  # which holds that line
     "ros2/hystmpc_controller/include/hystmpc_controller/controller.hpp: write": 1,  # its declaration

@@ -12,8 +12,7 @@ from typing import Annotated, Any, ClassVar
 
 import pytest
 
-from hystmpc.ctrl.build import law_of
-from hystmpc.ctrl.command import CommandLimits, ControlInput, Stopwatch
+from hystmpc.ctrl.command import CommandLimits, ControlInput, Source, Stopwatch
 from hystmpc.ctrl.config import CONTROLLERS, PythonControllerSettings, parse_controller
 from hystmpc.ctrl.feedback import InverseControllerSettings
 from hystmpc.ctrl.law import Law, LawSettings, Proposal
@@ -109,23 +108,25 @@ def test_an_effect_that_breaks_a_law_is_found(law: str, effect: Effect) -> None:
         getattr(contract, law)()
 
 
-class Broken(Law[int]):
+class Broken(Law[None]):
     """The inverse, with a fault."""
 
-    def __init__(self, inner: Law[Any], fault: str) -> None:
-        self.horizon = inner.horizon
-        self._inner, self._fault, self.source, self._count = inner, fault, inner.source, 0
+    horizon, source = 1, Source.CONTROLLER
 
-    def init(self, y: float, u: float) -> Any:
-        return self._inner.init(y, u)
+    def __init__(self, inverse: Inverse, fault: str) -> None:
+        self._inverse, self._fault, self._count = inverse, fault, 0
 
-    def propose(self, memory: Any, given: ControlInput, watch: Stopwatch) -> Proposal[Any]:
+    def init(self, y: float, u: float) -> None:
+        del y, u
+
+    def propose(self, memory: None, given: ControlInput, watch: Stopwatch) -> Proposal[None]:
+        del watch
         self._count += 1
-        found = self._inner.propose(memory, given, watch)
         if self._fault == "raises":
             raise RuntimeError("a law's own")
-        off = {"offset": 0.5, "hunts": 0.3 * (-1) ** self._count, "remembers": 1e-3 * self._count}[self._fault]
-        return replace(found, u=found.u + off)
+        off = {"offset": 0.5, "hunts": 0.3 * (-1) ** self._count, "remembers": 1e-3 * self._count}
+        u = self._inverse.command(given.state, float(given.reference[0]), given.u_last)
+        return Proposal(u + off[self._fault], memory)
 
 
 class BrokenSettings(InverseControllerSettings):
@@ -134,7 +135,8 @@ class BrokenSettings(InverseControllerSettings):
     fault: str = "raises"
 
     def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
-        return Broken(law_of(InverseControllerSettings(), predictor, inverse, limits), self.fault)
+        del predictor, limits
+        return Broken(inverse, self.fault)
 
 
 @pytest.mark.parametrize(

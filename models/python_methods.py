@@ -14,7 +14,7 @@ from hystmpc.trials.types import Vec
 
 
 @final
-class Written:
+class PythonMethods:
     """Methods of a predictor or of an inverse as functions on memory, which is copied for them.
 
     Args:
@@ -27,8 +27,12 @@ class Written:
 
     def predictor(self) -> Struct:
         """`hystmpc_outside` of a predictor."""
-        functions = {"advance": self._advance, "run": self._run, "linearise": self._linearise}
-        return struct("hystmpc_outside", **{name: guarded(function) for name, function in functions.items()})
+        return struct(
+            "hystmpc_outside",
+            advance=guarded(self._advance),
+            run=guarded(self._run),
+            linearise=guarded(self._linearise),
+        )
 
     def inverse(self) -> Struct:
         """`hystmpc_outside` of an inverse."""
@@ -38,12 +42,12 @@ class Written:
         state = _numbers(x, self._size)
         angle, following = self._owner.advance(state.copy(), u)
         after = _shaped(following, state.shape)
-        _numbers(theta, 1)[:] = float(angle)
+        ctypes.c_double.from_address(theta).value = float(angle)
         state[:] = after
 
     def _run(self, x: int, rows: int, samples: int, plans: int, angles: int) -> None:
-        found = self._owner.rollout(_numbers(x, self._size).copy(), _numbers(plans, rows, samples).copy())
-        _numbers(angles, rows, samples)[:] = _shaped(found, (rows, samples))
+        answered = self._owner.rollout(_numbers(x, self._size).copy(), _numbers(plans, rows, samples).copy())
+        _numbers(angles, rows, samples)[:] = _shaped(answered, (rows, samples))
 
     def _linearise(self, x: int, samples: int, plan: int, angles: int, jacobian: int) -> None:
         along, slopes = self._owner.linearise(_numbers(x, self._size).copy(), _numbers(plan, samples).copy())
@@ -51,13 +55,14 @@ class Written:
         _numbers(jacobian, samples, samples)[:] = _shaped(slopes, (samples, samples))
 
     def _command(self, x: int, states: int, theta: float, u_last: float, u: int) -> None:
-        _numbers(u, 1)[:] = float(self._owner.command(_numbers(x, states).copy(), theta, u_last))
+        command = self._owner.command(_numbers(x, states).copy(), theta, u_last)
+        ctypes.c_double.from_address(u).value = float(command)
 
 
 def _numbers(address: int, *shape: int) -> Vec:
     """The numbers at an address."""
     memory = (ctypes.c_double * math.prod(shape)).from_address(address)
-    return np.ndarray(shape, dtype=np.float64, buffer=memory)
+    return np.ndarray(shape, dtype=np.float64, buffer=memoryview(memory))
 
 
 def _shaped(values: Any, shape: tuple[int, ...]) -> Vec:
