@@ -61,7 +61,7 @@ ENGINE = (
 )
 """The engine's files `core/*.c` that are laid end to end."""
 
-LANES, BLOCK = 8, 64
+LANES, BLOCK = 8, 32
 """Units of a panel of a network's weights; numbers of a row of a block, which decides how much room a step takes."""
 
 _UNUSED = """#ifdef __GNUC__

@@ -22,7 +22,7 @@ from hystmpc.models.simulator import load_simulator, save_simulator
 from .compiled import EXAMPLES, SOURCES, Library, library
 from .loops import START, START_DEG, compare
 
-SAME = 1e-6  # mm
+SAME = 1e-9  # mm; both are one engine, compiled twice
 
 
 def tip(model: str, lag_s: float = 0.0, **controller: Any) -> dict[str, Any]:
@@ -86,7 +86,7 @@ def test_commands_are_those_of_python_for_every_part(case: str, tmp_path: Path) 
     settings_, lag_s = CASES[case]
     # Of 760 samples one stop and one release, at 700 and 730, and three references without a number.
     found = compare(settings_, library(settings_, tmp_path), 760, lag_s)
-    assert found.greatest == 0.0
+    assert found.greatest <= SAME
     assert found.same_sources
     assert found.sources["mpc"] + found.sources["feedback"] > 250
     assert case != "plays" or {"mpc", "hold", "stop"} <= found.sources.keys()
