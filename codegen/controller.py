@@ -229,9 +229,9 @@ def _header(problem: Struct, single: bool, remembered: int, whole: int) -> str:
 
 def _enumeration(text: str, first: str) -> str:
     """The enumeration of a header that begins with a name, and the comment before it."""
-    found = re.search(rf"(/\*(?:(?!\*/).)*\*/\n)?enum \{{\s+{first}\b[^}}]*\}};", text, re.DOTALL)
-    assert found is not None, first
-    return found[0]
+    match = re.search(rf"(/\*(?:(?!\*/).)*\*/\n)?enum \{{\s+{first}\b[^}}]*\}};", text, re.DOTALL)
+    assert match is not None, first
+    return match[0]
 
 
 def _about(begin: str, end: str, text: str) -> str:

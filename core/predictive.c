@@ -74,7 +74,16 @@ static real farthest(const real *angles, int count, real shift, real target) {
     return most_off;
 }
 
-/* Whether to hold now: the reference has come to rest, and the held command keeps the angle close. */
+/* Whether to hold now: the reference and its next `lead` samples have come to rest, and the held command keeps the angle
+ * close to it: within the tolerance, and one standard deviation of the disturbance more for each `patience` that has
+ * passed, since noise may prevent a closer approach; once held, `sigmas` of them.
+ *
+ * A reading of resolution q is constant while the angle stays within q / 2 of it. At rest the estimate drifts to the
+ * reading, and corrections would go on until the reading changes, then reverse: a limit cycle. Once held, q more is close
+ * enough: an angle within q / 2 of the wanted one is never left, one more than 3 q / 2 away always is.
+ *
+ * A longer lead would let the command cross the dead band before the reference turns: on a dead band as flat as the
+ * model's that is free, on a device that answers there it moves the tip in a hold. */
 static void judge_hold(const hystmpc_hold *rule, hystmpc_head *head, const hystmpc_given *g, const real *held,
                        int horizon) {
     const int held_before = head->holding, lead = rule->lead < horizon ? rule->lead : horizon;
@@ -92,8 +101,10 @@ static void judge_hold(const hystmpc_hold *rule, hystmpc_head *head, const hystm
     head->holding = farthest(held, horizon, g->disturbance, head->hold_target) <= rule->tolerance + more;
 }
 
-/* In a hold a correction as small as the error asks for, so that it meets the measurement before it is too far; whether
- * the plan has changed. */
+/* In a hold the plan within u_last -+ k error / (slope settle), k = 1, 2, ...; whether it has changed. Where the model has a
+ * dead band that the device does not have, a plan crosses it at no cost and the next one returns: a limit cycle. A
+ * correction of the size that is needed outside dead bands meets the measurement in time; a true dead band is still
+ * crossed, some samples later. */
 static int limit_correction(const hystmpc_problem *p, const hystmpc_head *head, real *commands, real u_last,
                             real error) {
     const hystmpc_hold *rule = p->law->hold;

@@ -79,7 +79,7 @@ def problem_of(
     dt, missing = predictor.dt, settings.bridged_samples(predictor.dt)
     if not (math.isfinite(dt) and dt > 0) or missing < 0:
         raise ControllerError(f"controller: got dt {dt}, max_missing_samples {missing}, expected > 0 s and >= 0")
-    device = _Device(predictor, inverse, limits, dt)
+    device = _Modelled(predictor, inverse, limits, dt)
     observer = observer or settings.estimator.observer(device.known)
     return struct(
         "hystmpc_problem",
@@ -103,7 +103,7 @@ def outside_law(law: LawPart) -> Struct:
 
 
 @dataclass(frozen=True, eq=False)
-class _Device:
+class _Modelled:
     """Model and hard limits of a controller; `known` and `inverted` are the model's own, without a learned part."""
 
     predictor: Predictor
@@ -129,7 +129,7 @@ class _Device:
         return attempt(lambda: static_gain(self.known))[0] or 0.0
 
 
-def _model(settings: LawSettings, device: _Device) -> Struct:
+def _model(settings: LawSettings, device: _Modelled) -> Struct:
     learned, learner = device.predictor, None
     if isinstance(settings, PredictiveSettings) and settings.adaptation is not None:
         if not isinstance(learned, LearnedPredictor):
@@ -138,7 +138,7 @@ def _model(settings: LawSettings, device: _Device) -> Struct:
     return struct("hystmpc_model", predictor=device.known.part, inverse=device.inverted.part, learner=learner)
 
 
-def _law(settings: LawSettings, device: _Device, solve: Callable[..., int] | None) -> Struct:
+def _law(settings: LawSettings, device: _Modelled, solve: Callable[..., int] | None) -> Struct:
     if isinstance(settings, PredictiveSettings):
         return _predictive(settings, device, solve)
     kinds = constants()
@@ -163,7 +163,7 @@ def _law(settings: LawSettings, device: _Device, solve: Callable[..., int] | Non
     )
 
 
-def _predictive(settings: PredictiveSettings, device: _Device, solve: Callable[..., int] | None) -> Struct:
+def _predictive(settings: PredictiveSettings, device: _Modelled, solve: Callable[..., int] | None) -> Struct:
     horizon, supervisor = settings.preview_samples(device.dt), settings.supervisor
     low, high = settings.weights.angle_limits_deg
     more: dict[str, Any] = {}
@@ -195,7 +195,7 @@ def candidates_over(horizon: int) -> int:
     return _FOLLOWING + 2 * (len(lengths) + _STEPS)
 
 
-def _hold(settings: HoldSettings, device: _Device) -> Struct:
+def _hold(settings: HoldSettings, device: _Modelled) -> Struct:
     """A command that acts later has to start that much earlier; the lead counts from there."""
     dt, noise = device.dt, device.known.noise
     delay = device.inverted.delay_samples if isinstance(device.inverted, DrivenInverse) else 0
@@ -231,7 +231,7 @@ def iterations_of(settings: PredictiveSettings, inverse: Inverse) -> int:
     return max(settings.iterations, _REFINED) if first_guess else settings.iterations
 
 
-def _planner(settings: PredictiveSettings, device: _Device, horizon: int, solve: Callable[..., int] | None) -> Struct:
+def _planner(settings: PredictiveSettings, device: _Modelled, horizon: int, solve: Callable[..., int] | None) -> Struct:
     kinds, blocks, kind, sampling = constants(), None, "HYSTMPC_LINEARISED", None
     if isinstance(settings, LinearisedMpcSettings):
         blocks = settings.blocks(device.dt)
@@ -251,7 +251,7 @@ def _planner(settings: PredictiveSettings, device: _Device, horizon: int, solve:
     )
 
 
-def _preview(device: _Device, horizon: int) -> Struct:
+def _preview(device: _Modelled, horizon: int) -> Struct:
     """Inverse over a preview: argmin over admissible u of sum_k (theta_k(u) - r_k)^2, with a small weight on moves.
 
     It is the problem of the linearised controller without a disturbance. An inverse sample by sample would send u = v +
@@ -268,7 +268,7 @@ def _preview(device: _Device, horizon: int) -> Struct:
     )
 
 
-def _sampling(settings: SamplingMpcSettings, device: _Device, horizon: int) -> Struct:
+def _sampling(settings: SamplingMpcSettings, device: _Modelled, horizon: int) -> Struct:
     """Distribution of smooth random plans in blocked moves, u = p + sigma M F w, from as few normals as blocks."""
     blocks, samples = settings.blocks(device.dt), settings.samples
     blocking = MoveBlocking(blocks, horizon)
@@ -309,6 +309,6 @@ def written_in(part: Struct) -> str:
         value = part.fields.get(field.name)
         if value is not None and field.arguments is not None:
             return _WRITTEN.get(part.name, part.name)
-        if isinstance(value, Struct) and (found := written_in(value)):
-            return found
+        if isinstance(value, Struct) and (inner := written_in(value)):
+            return inner
     return ""

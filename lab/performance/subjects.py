@@ -379,6 +379,7 @@ class Instant:
     """Step of the recorded loop: its inputs and the resulting command."""
 
     state: GuardedState
+    model_state: Vec  # of the predictor without a learned part (S,)
     measured: float
     reference: Vec
     command: Command
@@ -386,8 +387,8 @@ class Instant:
     @property
     def problem(self) -> PlanningProblem:
         """Planning problem of this step for a peer."""
-        estimate = self.state.estimate
-        return PlanningProblem(estimate.state, estimate.command, self.reference - self.command.disturbance)
+        wanted = self.reference - self.command.disturbance
+        return PlanningProblem(self.model_state, self.state.estimate.command, wanted)
 
 
 def record_scan(controller: GuardedController, subject: Subject) -> list[Instant]:
@@ -399,7 +400,8 @@ def record_scan(controller: GuardedController, subject: Subject) -> list[Instant
     for k in range(_SETTLING + subject.scan_samples):
         reference = subject.scan(k + 1, controller.horizon)
         command, following = controller.step(state, y, reference)
-        instants.append(Instant(state, y, reference, command))
+        model_state = controller.model_state(state)[: subject.predictor.state_size]
+        instants.append(Instant(state, model_state, y, reference, command))
         state, y = following, following.estimate.angles[0]
     return instants[_SETTLING:]
 

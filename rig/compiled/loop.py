@@ -161,13 +161,10 @@ class CompiledLoop:
             "reference": f"reference: not finite or beyond {ANGLE_BOUND_DEG:.0f} deg",
             "stalled": stalled,
             "refusal": refusal,
-            "outside": "",
-            "inverse": "",
-            "advance": "",
             "unfinished": "",
         }
         level = sample.level if answer.source == _FEEDBACK else 0
-        status = status_words(answer, level, sample.forecast_error, sample.stalled, more)
+        status = status_words(answer, level, sample.forecast_error, sample.stalled, (), more)
         predicted = EMPTY if np.isnan(answer.predicted_deg) else np.array((answer.predicted_deg,))
         timing = Timing({"step": 1e-9 * sample.step_ns})
         return Command(answer.u, SOURCES[answer.source], status, EMPTY, predicted, answer.departure_deg, timing)
@@ -217,7 +214,7 @@ class CompiledLoop:
             return
         try:
             numbers = np.arange(first, last)
-            self._reference[numbers % _REFERENCES] = wanted(numbers)
+            self._reference[numbers % _REFERENCES] = wanted(numbers.astype(np.float64))
         except Exception:  # noqa: BLE001 - a user's function; the sample that Python takes then says what is wrong
             return
         view.fed = last

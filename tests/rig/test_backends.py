@@ -42,7 +42,7 @@ RUN: dict[str, Any] = {
     "reference": {"kind": "point_to_point", "start_deg": 35, "targets_deg": [60, 45], "holds_s": [0.6, 0.4]},
 }
 LEARNS = {"model": "builtin:pi", "actuator_lag_s": 0.08, "controller": {"kind": "linearised_mpc"}}
-PLAIN = {"model": "builtin:pi", "controller": {"kind": "linearised_mpc", "adaptation": None}}
+PLAIN: dict[str, Any] = {"model": "builtin:pi", "controller": {"kind": "linearised_mpc", "adaptation": None}}
 BACKENDS = ("python", "c")
 
 
