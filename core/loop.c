@@ -120,7 +120,9 @@ static int loop_taken(hystmpc_loop *l, const hystmpc_reading *r, int64_t woke_ns
     const uint32_t ahead = (uint32_t)loop_number_at(data + 12, 4) - l->sequence;
     if (loop_number_at(data + 8, 4) != l->session || ahead == 0 || ahead > LOOP_HALF) return 0;
     l->sequence += ahead;
-    const double flight = (double)(r->received_ns - (int64_t)loop_number_at(data + 16, 8));
+    const uint64_t stamp_ns = loop_number_at(data + 16, 8);
+    if (stamp_ns > INT64_MAX) return 0; /* the difference would have no number */
+    const double flight = (double)(r->received_ns - (int64_t)stamp_ns);
     l->flight_ns = least(flight, l->flight_ns + LOOP_DRIFT * most((double)(r->received_ns - l->heard_ns), 0.0));
     l->heard_ns = r->received_ns;
     const double excess = flight - l->flight_ns;
@@ -131,7 +133,7 @@ static int loop_taken(hystmpc_loop *l, const hystmpc_reading *r, int64_t woke_ns
     if (!(l->angle_low <= angle && angle <= l->angle_high && is_finite(*held))) return 0;
     if (!(absolute(angle - l->rated) <= l->angle_rate * elapsed_s) || r->received_ns < l->accepted_ns) return 0;
     if (angle == l->angle) {
-        l->repeats++;
+        if (l->repeats < INT32_MAX) l->repeats++;
         if (l->frozen_samples > 0 && l->repeats >= l->frozen_samples && l->travelled >= l->frozen_travel) return 0;
     } else {
         l->repeats = 0;

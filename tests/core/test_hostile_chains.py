@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,21 +11,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.core.build import compiler
 from hystmpc.core.chain import ChainCode, PreparedChain, StageProgram
-from hystmpc.core.library import FOLDER, engine
+from hystmpc.core.library import engine
 from hystmpc.models.operators.dynamics import Delay, Lag
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.stages import chain_code, operator_program
 
 from ..models.zoo import CHAINS, EXAMPLES, RATE_PI, WITH_EFFECTS
+from ..sanitized import said_under_sanitizers
 from .test_two_axes import two_axes
 
 PROGRAM = Path(__file__).with_name("fuzzed_chains.c")
-FILES = ("check", "program", "chain", "slopes", "rest", "inverse", "follow", "drive", "moves")
-WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror")
-BOTH = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
-TRAPS = ("-fsanitize=undefined", "-fsanitize-undefined-trap-on-error")
+FILES = [f"{name}.c" for name in ["check", "program", "chain", "slopes", "rest", "inverse", "follow", "drive", "moves"]]
 BLOCKS = 3000
 HEAD = 19
 STATES, INPUTS, PARAMETERS, OUTPUTS, KEPT, ROWS, SLOPES, GROUPS, REGISTERS, SINGLE = range(1, 11)
@@ -168,18 +164,8 @@ def write_seeds(path: Path) -> None:
 
 
 def test_what_the_check_lets_through_stays_in_its_memory(tmp_path: Path) -> None:
-    """Wrong blocks under the sanitizers; where that for addresses has no library, undefined behaviour alone."""
-    command = compiler()
-    if command is None:
-        pytest.skip("no compiler")
-    sources = [str(PROGRAM), *(str(FOLDER / f"{name}.c") for name in FILES)]
-    build = [*command, *WARNINGS, "-g", "-I", str(FOLDER), "-o", str(tmp_path / "run"), *sources, "-lm"]
-    if subprocess.run([*build, *BOTH], capture_output=True, timeout=300, check=False).returncode:
-        subprocess.run([*build, *TRAPS], check=True, timeout=300)
     write_seeds(tmp_path / "seeds")
-    words = [str(tmp_path / "run"), str(tmp_path / "seeds"), "1", str(BLOCKS)]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
-    assert done.returncode == 0, done.stderr[-3000:]
-    tried, passed = (int(word) for word in done.stdout.split() if word.isdigit())
+    said = said_under_sanitizers(PROGRAM, FILES, [tmp_path / "seeds", 1, BLOCKS], tmp_path)
+    tried, passed = (int(word) for word in said.split() if word.isdigit())
     assert tried == BLOCKS
     assert passed > BLOCKS // 50
