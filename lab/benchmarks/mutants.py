@@ -3,7 +3,7 @@
     python lab/benchmarks/mutants.py [--jobs 2] [--only TEXT] [--timeout 300] [--out mutants.json]
 
 Each mutant of `mutants.yaml` is written into a copy of the checkout, its tests run there, fast ones first, and it is
-reverted. A mutant is killed when a test fails, or when the tests hang; it survives when they all pass. Text that does
+reverted. A mutant is killed when a test fails, crashes or hangs; it survives when they all pass. Text that does
 not occur exactly once is an error, so that the list cannot become outdated. First, the same tests run without any
 mutant: if they fail, nothing can be concluded. Exit code 1 below 95 % killed, 2 if a mutant does not apply.
 """
@@ -48,6 +48,7 @@ _LEFT_OUT = (
     "*.egg-info",
 )
 _FAILED, _INTERRUPTED, _NO_TESTS = 1, 2, 5  # exit codes of pytest; an import that fails is an interruption
+_CRASHED = {-int(s) for s in signal.Signals if s.name in ("SIGSEGV", "SIGBUS", "SIGABRT", "SIGFPE", "SIGILL")}
 _FIRST_FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+)", re.MULTILINE)
 _WHERE = "import hystmpc.ctrl.command, hystmpc.rig.safety.intake as i; print(hystmpc.ctrl.command.__file__, i.__file__)"
 
@@ -166,6 +167,8 @@ class Copy:
                 code, said = self._run(["-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-m", marks, *tests])
             except subprocess.TimeoutExpired:
                 return "killed", f"timeout after {self.timeout_s:g} s"
+            if code in _CRASHED:  # a wrong line of C may end the process that tests it
+                return "killed", f"signal {-code}"
             if code in (_FAILED, _INTERRUPTED):
                 found = _FIRST_FAILED.search(said)
                 return "killed", found[1] if found else f"exit code {code}"

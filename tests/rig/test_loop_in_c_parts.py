@@ -89,6 +89,7 @@ class Ride:
     after: Any = None
     hurried: int = 0  # samples without a plan
     skipped: int = 0  # samples that had passed wholly
+    changes: dict[str, Any] = field(default_factory=dict)  # fields of the messages from the 20th on
 
     def run(self, seconds: float = 2.0) -> tuple[str, Any]:
         """Why it has ended, and its struct."""
@@ -110,7 +111,8 @@ class Ride:
                 for angle, late_s in self.shows(now_s) if view.written != shown else ():
                     sequence += 1
                     stamp = time.monotonic_ns() - round(late_s * NS)
-                    theirs.send(encode(Datagram(Kind.READING, SESSION, sequence, stamp, angle, view.last)))
+                    message = Datagram(Kind.READING, SESSION, sequence, stamp, angle, view.last)
+                    theirs.send(encode(replace(message, **self.changes) if sequence > 20 else message))
                 view.read = shown = round(now_s / DT_S)
                 self._taken(theirs)
                 time.sleep(0.2 * DT_S)
@@ -201,6 +203,15 @@ def test_noise_of_a_fast_stream_is_no_jump_and_an_outlier_is(ride: Ride, noise_d
     """Two readings less than a millisecond apart, at 400 deg/s at most."""
     ride.shows = lambda t: [(30.0 + 1e-3 * math.sin(1e3 * t), 0.0), (30.0 + (noise_deg if t > 0.2 else 0.1), 0.0)]
     assert ride.run(0.6)[0] == reason
+
+
+@pytest.mark.parametrize(
+    "changes", [{"session": SESSION + 1}, {"kind": Kind.COMMAND}, {"held": math.nan}, {"value": math.nan}]
+)
+def test_a_message_that_is_none_of_this_device_is_left_to_python(ride: Ride, changes: dict[str, Any]) -> None:
+    ride.changes = changes
+    reason, view = ride.run()
+    assert (reason, view.written) == ("reading", 20)
 
 
 def test_travel_without_motion_counts_as_a_lag_follows_it(ride: Ride) -> None:
