@@ -1,24 +1,21 @@
-"""A controller whose observer says what a test wants of the device."""
+"""A controller without a sensor, of whose device a test says what is known."""
 
 from __future__ import annotations
 
-import ctypes
+from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
-from hystmpc.core.outside import guarded
-from hystmpc.core.structs import constants, layout, struct
+from hystmpc.core.structs import constants, struct
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.estimation.observer import Observer
-from hystmpc.ctrl.guarded import GuardedController
+from hystmpc.ctrl.guarded import GuardedController, GuardedState
 from hystmpc.ctrl.mpc_settings import PredictiveSettings
 from hystmpc.ctrl.problem import problem_of
 from hystmpc.models.model import Inverse, Predictor
 
 
 class Scripted:
-    """An observer as the engine calls it: it advances the model, and what it says of the device is set here.
+    """What is known of the device: without a sensor the observer leaves it as it is.
 
     Attributes:
         disturbance, sigma: of the output, and the standard deviation of what noise does to it in a hold [deg].
@@ -27,22 +24,16 @@ class Scripted:
 
     def __init__(self, predictor: Predictor) -> None:
         self.disturbance = self.sigma = self.forecast_error = 0.0
-        self._predictor, self._states = predictor, int(predictor.part.fields["states"])
-        outside = struct("hystmpc_observer_outside", correct=guarded(self._correct), advance=guarded(self._advance))
-        kind = constants()["HYSTMPC_OBSERVED"]
-        sensing = struct("hystmpc_sensing", sensor=kind, forgets=1.0, rest_tolerance=30.0, outside=outside)
+        kind = constants()["HYSTMPC_NO_SENSOR"]
+        sensing = struct("hystmpc_sensing", sensor=kind, forgets=1.0, rest_tolerance=30.0)
         self.observer = Observer(sensing, predictor)
 
-    def _correct(self, known: int, _x: int, _angles: int, y: float) -> None:
-        k = layout("hystmpc_known").from_address(known)
-        k.disturbance, k.sigma, k.forecast_error = self.disturbance, self.sigma, self.forecast_error
-        k.measured, k.missing = y, 0
-
-    def _advance(self, known: int, x: int, angles: int, u: float) -> None:
-        state = np.ctypeslib.as_array((ctypes.c_double * self._states).from_address(x))
-        angle, state[:] = self._predictor.advance(state.copy(), u)
-        ctypes.c_double.from_address(angles).value = angle
-        layout("hystmpc_known").from_address(known).command = u
+    def written(self, state: GuardedState) -> GuardedState:
+        """The state of a controller that knows this."""
+        after = replace(state, memory=state.memory.copy())
+        known = after.known
+        known.disturbance, known.variance, known.forecast_error = self.disturbance, self.sigma**2, self.forecast_error
+        return after
 
 
 def scripted(
