@@ -43,7 +43,7 @@ class Bench:
         self.state: GuardedState = self.controller.init(self._angle, self._command)
 
     def step(self, reference: np.ndarray = STILL) -> Command:
-        command, self.state = self.controller.step(self.state, self._angle, reference)
+        command, self.state = self.controller.step(self.script.written(self.state), self._angle, reference)
         return command
 
     def held(self, samples: int) -> bool:

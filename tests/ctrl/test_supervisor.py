@@ -58,7 +58,7 @@ def test_the_transfer_to_feedback_is_bumpless(forecast_errors: list[float], want
         before, level = state.estimate.command, state.head.level
         script.disturbance = y - state.estimate.angles[0]
         reference = wanted + drift * np.arange(loop.horizon)
-        command, state = loop.step(state, y, reference)
+        command, state = loop.step(script.written(state), y, reference)
         assert state.head.failures == 0
         assert state.head.level == expected(level, script.forecast_error)
         assert LIMITS.lower <= command.u <= LIMITS.upper
@@ -77,7 +77,7 @@ def test_the_level_follows_the_forecasts_and_stands_in_the_log(
 ) -> None:
     loop, script = controller()
     script.forecast_error = forecast_error
-    command, state = loop.step(loop.init(40.0, 1.5), 40.0, np.full(loop.horizon, 45.0))
+    command, state = loop.step(script.written(loop.init(40.0, 1.5)), 40.0, np.full(loop.horizon, 45.0))
     assert LEVELS[state.head.level] == level
     assert command.source == source
     assert command.status == (
@@ -99,7 +99,7 @@ def test_a_better_level_takes_over_only_where_forecasts_are_twice_as_good(
     loop, script = controller()
     state, reference = loop.init(40.0, 1.5), np.full(loop.horizon, 45.0)
     for script.forecast_error in (first, then):
-        _, state = loop.step(state, 40.0, reference)
+        _, state = loop.step(script.written(state), 40.0, reference)
     assert LEVELS[state.head.level] == level
 
 
