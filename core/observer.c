@@ -112,7 +112,7 @@ HYSTMPC_LOCAL int hystmpc_next_of_model(const hystmpc_model *m, const real *x, r
                                         char *room) {
     const int states = m->predictor->states;
     real sum = R(0.0);
-    memcpy(next, x, sizeof(real) * (size_t)states);
+    if (states) memcpy(next, x, sizeof(real) * (size_t)states);
     if (hystmpc_predictor_advance(m->predictor, next, u, angle, room) != 0) return 0;
     for (int i = 0; i < states; i++) sum += next[i];
     return absolute(*angle) <= HYSTMPC_ANGLE_BOUND && is_finite(sum);
@@ -126,7 +126,7 @@ static void observer_start(const hystmpc_sensing *s, const hystmpc_extent *n, hy
     e->known->command = u;
     e->known->measured = s->sensor == HYSTMPC_NO_SENSOR ? angle : y;
     if (s->sensor == HYSTMPC_CONTINUOUS) e->known->disturbance = y - angle;
-    memcpy(e->model, x, sizeof(real) * (size_t)n->states);
+    if (n->states) memcpy(e->model, x, sizeof(real) * (size_t)n->states);
     for (int k = 0; k < n->angles; k++) {
         e->angles[k] = angle;
         e->responsive[k] = R(1.0);
