@@ -265,3 +265,12 @@ def test_missing_measurements_are_counted_bridged_and_then_a_failure() -> None:
     names = ["MPC"] * 2 + ["HOLD"] * 2 + ["STOP"] * 2
     assert [answer.source for answer in answers] == [C[f"HYSTMPC_{name}"] for name in names]
     assert made.step().source == C["HYSTMPC_STOP"]  # it measures again
+
+
+def test_an_integral_does_not_run_ahead_of_the_rate_limit() -> None:
+    """Where the error ends, the command does not rise on."""
+    made = Made("pid")
+    assert made.init() == C["HYSTMPC_STARTED"]
+    sent = [made.step(wanted=made.y + 20.0).u for _ in range(15)]
+    np.testing.assert_allclose(np.diff(sent[5:]), RATE * made.model.dt)
+    assert made.step(wanted=made.y).u < sent[-1]

@@ -89,6 +89,7 @@ WRONG: dict[str, tuple[Callable[[np.ndarray], None], str]] = {
     "slopes that do not ascend": (put("first", 1, 10_000), "slopes by what is there"),
     "a state that is not there": (put("group", 1, 5), "every state in one group"),
     "a group of more than all states": (put("group", 0, 6), "every state in one group"),
+    "states in no group": (put(GROUPS, 0, 0), "every state in one group"),
 }
 
 
@@ -131,6 +132,15 @@ def test_a_block_that_ends_too_early_is_refused(code: ChainCode, at: int, length
     assert check(code.code[:size].copy(), size, code.constants.size) != 0
     if code.constants.size:
         assert check(code.code, code.code.size, length % code.constants.size) != 0
+
+
+@pytest.mark.parametrize("at", [1, 2, 3], ids=["states", "parameters", "kept values"])
+@pytest.mark.parametrize("more", [-1, 1])
+def test_what_a_block_says_of_all_its_stages_is_their_sum(at: int, more: int) -> None:
+    for code in CODE:
+        numbers = code.code.copy()
+        numbers[at] += more
+        assert engine().chain_check(numbers, numbers.size, code.constants.size) != 0
 
 
 def test_one_axis_is_asked_for_where_the_engine_reads_one() -> None:

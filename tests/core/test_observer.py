@@ -325,6 +325,28 @@ def test_other_sensors_have_no_late_frames(kind: Kind) -> None:
     np.testing.assert_array_equal(watch.memory, before)
 
 
+def test_an_instant_counts_once_as_missing_and_not_where_a_frame_was_usable() -> None:
+    watch = KINDS["frames"].started(LINEAR)
+    for late, missing in ((False, 1), (True, 0), (False, 1), (False, 2)):
+        watch.advance(LINEAR.u_rest)
+        assert not late or watch.late(LINEAR.y_rest, 0.0)
+        watch.correct(math.nan)
+        watch.correct(math.nan)
+        assert watch.look()["missing"] == missing
+
+
+@of(OF_FRAMES)
+def test_a_frame_between_two_samples_is_carried_to_the_earlier_one(kind: Kind) -> None:
+    """By the model's own motion: what shows the mean of two angles is the first of them, then."""
+    watch, angles = kind.started(LINEAR), []
+    for u in motion(LINEAR, 8).tolist():
+        angles.append(float(watch.look()["angles"][0]))
+        watch.step(math.nan, u)
+    assert angles[5] != angles[6]
+    assert watch.late(0.5 * (angles[5] + angles[6]), 2.5)
+    assert watch.look()["measured"] == pytest.approx(angles[5], abs=1e-9)
+
+
 def test_so_many_measurements_of_an_instant_are_remembered() -> None:
     watch, most = KINDS["frames"].started(LINEAR), C["HYSTMPC_SEEN"]
     for k in range(most - 1):  # one is that of the start
@@ -422,8 +444,10 @@ def test_a_spoilt_memory_leads_nowhere_else(kind: Kind) -> None:
     wander(watch, LINEAR)
     for count in (-1, 2**31 - 1, C["HYSTMPC_SEEN"] + 1):
         watch.known.count = watch.known.missing = watch.known.stalled = count
-        watch.memory[-GUARD - 8 : -GUARD - 4] = np.array([count], np.int32).view(np.uint8)
+        instants = watch.memory[-GUARD - 8 : -GUARD - 4].view(np.int32)
+        instants[0] = count
         wander(watch, LINEAR, 3)
+        assert 0 <= instants[0] < 2 * watch.parts[0].fields["oldest"]
 
 
 def test_counts_stay_before_they_run_over() -> None:

@@ -287,6 +287,17 @@ def test_without_a_weight_nothing_is_learned(name: str) -> None:
     np.testing.assert_array_equal(LearnedFollower(inverse).follow(state, wanted, 2.0, BOUNDS), expected)
 
 
+@pytest.mark.parametrize("name", ["accompanied", "written"])
+def test_an_inverse_asks_its_model_for_what_is_not_learned(name: str) -> None:
+    plain, inverted = paired(name)
+    model, inverse = learned(plain, inverted)
+    state = moved(model)
+    part = float(model.learned(state, np.full((1, 1), 2.0))[0, 0])
+    assert abs(part) > 1e-3
+    expected = inverted.command(state[: state.size - LEARNED_SIZE], 55.0 - part, 2.0)
+    assert inverse.command(state, 55.0, 2.0) == pytest.approx(expected, abs=1e-9)
+
+
 def test_a_network_of_any_level_has_a_part() -> None:
     predictor = lstm("plain")
     state, plans = moved(predictor), plans_of(3)

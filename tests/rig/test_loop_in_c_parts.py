@@ -210,8 +210,9 @@ def test_noise_of_a_fast_stream_is_no_jump_and_an_outlier_is(ride: Ride, noise_d
 )
 def test_a_message_that_is_none_of_this_device_is_left_to_python(ride: Ride, changes: dict[str, Any]) -> None:
     ride.changes = changes
-    reason, view = ride.run()
-    assert (reason, view.written) == ("reading", 20)
+    reason, view = ride.run(1.0)
+    assert reason == "reading"
+    assert view.written > 5
 
 
 def test_travel_without_motion_counts_as_a_lag_follows_it(ride: Ride) -> None:
