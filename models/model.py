@@ -166,7 +166,7 @@ class Predictor(WithPart, ABC):
         self.dt, self.command_range = other.dt, other.command_range
         self.noise, self.model_sigma_deg = other.noise, other.model_sigma_deg
 
-    @cached_property
+    @property
     def state_size(self) -> int:
         """Number S of entries of the state."""
         return self.initial(0.0, self.command_range[0]).size
@@ -174,8 +174,9 @@ class Predictor(WithPart, ABC):
     @cached_property
     def part(self) -> Struct:
         """The predictor as the engine reads it, `hystmpc_predictor`; it calls the methods of one written in Python."""
-        outside = PythonMethods(self, self.state_size).predictor()
-        return struct("hystmpc_predictor", kind=kind_of("WRITTEN"), states=self.state_size, outside=outside)
+        size = self.state_size
+        outside = PythonMethods(self, size).predictor()
+        return struct("hystmpc_predictor", kind=kind_of("WRITTEN"), states=size, outside=outside)
 
     @property
     def rest_part(self) -> Struct | None:

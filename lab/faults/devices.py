@@ -228,7 +228,7 @@ def device_plays(cases: tuple[DeviceCase, ...], movers: tuple[Mover, ...] = MOVE
         for mover in (m for m in movers if m in case.movers):
             law = case.law or LAW[k % len(LAW)]
             whole = case.healthy and k % _WHOLE_EVERY == 0
-            found.append(DevicePlay(case, mover, How(law, bench=case.bench, whole=whole)))
+            found.append(DevicePlay(case, mover, How(law, bench=case.bench, whole=whole)))  # pyright: ignore[reportArgumentType]
     if "run" in movers:
         found += [_over_udp(case) for case in cases if case.name in _OVER_UDP]
     return tuple(found)
