@@ -10,7 +10,7 @@ from hystmpc.models.operators.dynamics import Delay, Lag
 from hystmpc.models.operators.hysteresis import Backlash
 from hystmpc.models.operators.slow_changes import Creep
 from hystmpc.models.operators.static_curves import Contact, NonlinearGain
-from hystmpc.models.prediction.build import controller_model, predictor_for
+from hystmpc.models.prediction.build import ParallelPredictor, controller_model, predictor_for
 from hystmpc.models.prediction.compiled import CompiledPredictor
 from tests.models.start_examples import random_chain
 from tests.models.test_connections import CASES, model_of
@@ -65,6 +65,12 @@ def test_connected_models(case):
 def test_models_of_controllers(name, lag_s):
     model = controller_model(load_model(library_file(name), start="conditioned"), actuator_lag_s=lag_s)
     same(model.predictive[0], POINTS[:4])
+
+
+def test_two_chains_side_by_side():
+    """The first one rests at the angle, the second one at zero."""
+    first, second = (CompiledPredictor.of_simulator(simulator(CHAINS[name])) for name in ("backlash", "plays"))
+    same(ParallelPredictor(first, second), POINTS[:4])
 
 
 def test_odd_numbers_end():
