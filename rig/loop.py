@@ -152,10 +152,13 @@ class ControlLoop:
         """Initialise the loop for its first sample; arguments as of `run`."""
         self._rest = deque(phases)
         self._drain()
-        now = self._clock.now_ns()
+        try:
+            now, self._boot_ns = self._clock.now_ns(), self._clock.boot_ns()
+        except Exception as error:  # noqa: BLE001 - as in a sample; a clock that fails for good begins nothing
+            self._flag.set(cause_of(error))
+            now, self._boot_ns = self._clock.now_ns(), self._clock.boot_ns()
         self._deadline_ns = now + (beat_ns - now) % self._dt_ns
         self._start_ns = self._woke_ns = self._deadline_ns
-        self._boot_ns = self._clock.boot_ns()
 
     def due(self) -> int:
         """Monotonic time of the next sample [ns]: the first deadline that is less than one sample in the past."""

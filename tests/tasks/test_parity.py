@@ -198,7 +198,7 @@ REFUSED: tuple[tuple[str, Call], ...] = (
 @pytest.fixture
 def still_clocks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every step takes no time: how fast something was computed stands in logs and reports."""
-    for clock in ("time.perf_counter", "time.process_time", "hystmpc.ctrl.command.perf_counter"):
+    for clock in ("time.perf_counter", "time.process_time", "hystmpc.ctrl.guarded.perf_counter"):
         monkeypatch.setattr(clock, lambda: 0.0)
     make_quick(monkeypatch)
 
