@@ -195,7 +195,7 @@ class GuardedController(HoldsAddresses):
         """
         first = int(self.usable_in(commands, angles)[0])
         state = self.init(float(angles[first]), float(commands[max(first - 1, 0)]))
-        memory, room = state.memory.copy(), self._room
+        memory, room = self._copied(state), self._room
         forget_faults()
         for y, u in zip(angles[first:].tolist(), commands[first:].tolist(), strict=True):
             if self._engine.controller_look_on(self._address, memory, y, u, room):
@@ -231,7 +231,7 @@ class GuardedController(HoldsAddresses):
     def model_state(self, state: GuardedState) -> Vec:
         """State from which the predictor predicts, after every command sent so far."""
         x, numbers = np.empty(self._states), np.empty(16)
-        self._engine.controller_look(self._address, state.memory, numbers, x, None, None, None, None)
+        self._engine.controller_look(self._address, self._copied(state), numbers, x, None, None, None, None)
         return x
 
     def measure(self, state: GuardedState, y: float, age: float) -> GuardedState:
@@ -241,7 +241,7 @@ class GuardedController(HoldsAddresses):
             ControllerError: if the observer accepts no late measurements, or none of that age; or the model fails.
         """
         age = 0.0 if -_ROUNDING < age < 0.0 else age
-        memory = state.memory.copy()
+        memory = self._copied(state)
         forget_faults()
         if not self._engine.controller_measure(self._address, memory, usable_angle(y), age, self._room):
             raise ControllerError("; ".join(faults()) or self._observer.refused(y, age))
@@ -249,13 +249,13 @@ class GuardedController(HoldsAddresses):
 
     def stop(self, state: GuardedState, cause: str) -> GuardedState:
         """Return the state with the stop latched: steps go to the safe command or hold, until a new `init`."""
-        memory = state.memory.copy()
+        memory = self._copied(state)
         self._engine.controller_stop(self._address, memory)
         return replace(state, memory=memory, cause=cause)
 
     def holding(self, state: GuardedState, command: float) -> GuardedState:
         """Return the state in which the device holds `command` in place of the one sent last."""
-        memory = state.memory.copy()
+        memory = self._copied(state)
         self._engine.controller_held(self._address, memory, command)
         return replace(state, memory=memory)
 
@@ -263,7 +263,7 @@ class GuardedController(HoldsAddresses):
         """Compute the command of one sample, for any `y` and any `reference`; see `Controller.step`."""
         began = perf_counter()
         wanted, fault = usable_reference(reference, self._horizon, self._unusable)
-        memory, plan, answer = state.memory.copy(), np.empty((2, self._planned)), _COMMAND()
+        memory, plan, answer = self._copied(state), np.empty((2, self._planned)), _COMMAND()
         if state.refusal:
             self._engine.controller_hurry(self._address, memory)
         forget_faults()
@@ -319,6 +319,22 @@ class GuardedController(HoldsAddresses):
         if self._solution is not None and answer.status == NO_SOLUTION:
             more["planner"] = self._solution.words
         return status_words(answer, level, known.forecast_error, known.stalled, faults(), more)
+
+    def check_state(self, state: GuardedState) -> None:
+        """Check the size of a state's memory: the engine does not look where memory ends.
+
+        Raises:
+            ControllerError: if it is of another controller, or cut off.
+        """
+        if state.memory.dtype != np.uint8 or state.memory.shape != (self._bytes,):
+            raise ControllerError(
+                f"state: got a memory of {state.memory.nbytes} bytes, expected {self._bytes}: "
+                "it is cut off, or of another controller"
+            )
+
+    def _copied(self, state: GuardedState) -> Bytes:
+        self.check_state(state)
+        return state.memory.copy()
 
     @property
     def _room(self) -> Bytes:

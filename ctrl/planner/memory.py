@@ -203,7 +203,7 @@ def require_number(value: object, what: str) -> float:
     return number
 
 
-def require_usable(snapshot: object, origin: str, limits: CommandLimits) -> Snapshot:
+def require_usable(snapshot: object, origin: str, limits: CommandLimits, controller: GuardedController) -> Snapshot:
     """Check that this controller can continue from a snapshot, and return it.
 
     Raises:
@@ -216,6 +216,8 @@ def require_usable(snapshot: object, origin: str, limits: CommandLimits) -> Snap
             f"restore: got a snapshot of {snapshot.origin!r}, expected one of {origin!r}: the same kind of controller, "
             "settings, limits and model"
         )
+    if snapshot.control is not None:
+        controller.check_state(snapshot.control)
     commands = (
         [snapshot.command.u] if snapshot.control is None else [snapshot.command.u, snapshot.control.known.command]
     )

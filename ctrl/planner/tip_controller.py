@@ -354,7 +354,7 @@ class TipController:
         Raises:
             ControllerError: if it is no snapshot, one of another controller, or a command is beyond the limits.
         """
-        usable = require_usable(snapshot, self._origin, self._assembly.limits)
+        usable = require_usable(snapshot, self._origin, self._assembly.limits, self._controller)
         said = None if held is None else require_within(held, self._assembly.limits, "restore: got held")
         with self._lock:
             present = self._memory

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -15,6 +16,7 @@ from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.command import CommandLimits, Source
 from hystmpc.ctrl.config import CONTROLLERS
 from hystmpc.ctrl.guarded import GuardedController
+from hystmpc.trials.errors import ControllerError
 
 from .plays import BROKEN, DRIVEN, PLAY, SOUND, Case
 
@@ -108,7 +110,19 @@ def test_plan_and_prediction_belong_to_the_command(kind: str) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(("y", "u"), [(math.nan, 0.0), (30.0, 6.5), (30.0, math.nan)])
 def test_start_that_makes_no_sense_is_refused(kind: str, y: float, u: float) -> None:
-    from hystmpc.trials.errors import ControllerError
-
     with pytest.raises(ControllerError, match="expected a finite angle"):
         controller_for(kind, PLAY.name, LIMITS[0]).init(y, u)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_memory_that_is_cut_off_or_of_another_controller_is_refused(kind: str) -> None:
+    controller, other = (controller_for(kind, PLAY.name, LIMITS[0], delay) for delay in (0, 2))
+    state = controller.init(PLAY.y_rest, PLAY.u_rest)
+    wrong = [replace(state, memory=state.memory[:-8].copy()), replace(state, memory=state.memory[:0].copy())]
+    if kind != "pid":  # whose memory has no angles on their way
+        wrong.append(other.init(PLAY.y_rest, PLAY.u_rest))
+    for bad in wrong:
+        with pytest.raises(ControllerError, match="cut off, or of another controller"):
+            controller.step(bad, PLAY.y_rest, np.full(30, 45.0))
+        with pytest.raises(ControllerError, match="cut off, or of another controller"):
+            controller.stop(bad, "by a test")
