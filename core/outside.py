@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import ctypes
+import math
 from collections import deque
 from collections.abc import Callable
 from threading import local
 from typing import final
 
 import numpy as np
+from numpy.typing import NDArray
 
 _MOST = 8  # faults that are kept
 
@@ -47,6 +50,14 @@ class Guarded:
 def guarded(function: Callable[..., None]) -> Callable[..., int]:
     """Return the function as the engine calls it: 0, or 1 where it has raised."""
     return Guarded(function)
+
+
+def numbers_at(address: int | None, *shape: int) -> NDArray[np.float64]:
+    """Return the engine's numbers at an address as an array on its memory; an empty one where there are none."""
+    if not address or min(shape) <= 0:
+        return np.empty(0)
+    memory = (ctypes.c_double * math.prod(shape)).from_address(address)
+    return np.ndarray(shape, dtype=np.float64, buffer=memoryview(memory))
 
 
 def keep_fault(error: BaseException) -> None:

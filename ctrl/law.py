@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import ctypes
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from threading import local
@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Generic, TypeVar, final
 
 import numpy as np
 
-from hystmpc.core.outside import keep_fault
+from hystmpc.core.outside import keep_fault, numbers_at
 from hystmpc.core.structs import constants, layout
 from hystmpc.trials.config import Count, NotNegativeInt, Settings
 from hystmpc.trials.types import Vec
@@ -68,7 +68,7 @@ class LawSettings(Settings):
     An external class builds its parts itself. It defines
 
         law(predictor, inverse, limits) -> Law
-        observer(predictor) -> Observer
+        observer(predictor) -> Observer, as `EstimatorSettings.observer` gives one
         model_pair(predictor, inverse) -> (predictor, inverse), where it does not work with these two as they are
 
     Attributes:
@@ -121,26 +121,34 @@ class LawPart:
         return answer
 
     def __call__(self, given: int, proposal: int) -> int:
-        """Ask the law; 0, or 1 where it raises."""
-        asked, out, horizon = _GIVEN.from_address(given), _PROPOSAL.from_address(proposal), self.law.horizon
+        """Ask the law; 0, or 1 where it raises or answers no proposal."""
         try:
             with np.errstate(all="ignore"):
-                answer = self.law.propose(self._local.memory, self._input(asked), Stopwatch())
-            out.u = float(answer.u)
+                self._ask(_GIVEN.from_address(given), _PROPOSAL.from_address(proposal))
         except BaseException as error:  # noqa: BLE001 - through C no exception passes
             keep_fault(error)
             return 1
-        out.source = _SOURCES[answer.source or self.law.source]
-        out.planned = planned = min(answer.plan.size, horizon)
-        _numbers(out.commands, planned)[:] = answer.plan[:planned]
-        foreseen = answer.predicted if answer.predicted.size else np.full(planned, np.nan)
-        _numbers(out.angles, planned)[:] = foreseen[:planned]
-        self._local.answer = answer
         return 0
+
+    def _ask(self, asked: Any, out: Any) -> None:
+        answer = self.law.propose(self._local.memory, self._input(asked), Stopwatch())
+        plan, foreseen = (
+            np.asarray(one, dtype=np.float64)[: self.law.horizon] for one in (answer.plan, answer.predicted)
+        )
+        if plan.ndim != 1 or foreseen.ndim != 1:
+            raise ValueError(f"law: got a plan of shape {plan.shape}, angles of {foreseen.shape}, expected (H,) each")
+        known = min(plan.size, foreseen.size)
+        out.u, out.planned = float(answer.u), plan.size
+        out.source = _SOURCES[answer.source or self.law.source]
+        if plan.size:
+            numbers_at(out.commands, plan.size)[:] = plan
+            angles = numbers_at(out.angles, plan.size)
+            angles[:known], angles[known:] = foreseen[:known], math.nan
+        self._local.answer = answer
 
     def _input(self, asked: Any) -> ControlInput:
         return ControlInput(
-            state=_numbers(asked.state, self._states).copy(),
+            state=numbers_at(asked.state, self._states).copy(),
             disturbance=asked.disturbance,
             disturbance_sigma=asked.sigma,
             measured=asked.measured,
@@ -148,8 +156,8 @@ class LawPart:
             u_last=asked.u_last,
             due=asked.due,
             setpoint=asked.setpoint,
-            reference=_numbers(asked.reference, self.law.horizon).copy(),
-            remaining_plan=_numbers(asked.remaining, asked.planned).copy(),
+            reference=numbers_at(asked.reference, self.law.horizon).copy(),
+            remaining_plan=numbers_at(asked.remaining, asked.planned).copy(),
             forecast_error=asked.forecast_error,
         )
 
@@ -166,10 +174,3 @@ _SOURCES = {
         Source.STOP: "STOP",
     }.items()
 }
-
-
-def _numbers(address: int | None, count: int) -> Vec:
-    """The engine's numbers at an address, as an array (count,) on its memory."""
-    if not address or count <= 0:
-        return np.empty(0)
-    return np.ctypeslib.as_array((ctypes.c_double * count).from_address(address))

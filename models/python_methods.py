@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import ctypes
-import math
 from typing import Any, final
 
 import numpy as np
 
-from hystmpc.core.outside import guarded
+from hystmpc.core.outside import guarded, numbers_at
 from hystmpc.core.structs import Struct, struct
 from hystmpc.trials.types import Vec
 
@@ -39,30 +38,24 @@ class PythonMethods:
         return struct("hystmpc_outside", command=guarded(self._command))
 
     def _advance(self, x: int, u: float, theta: int) -> None:
-        state = _numbers(x, self._size)
+        state = numbers_at(x, self._size)
         angle, following = self._owner.advance(state.copy(), u)
         after = _shaped(following, state.shape)
         ctypes.c_double.from_address(theta).value = float(angle)
         state[:] = after
 
     def _run(self, x: int, rows: int, samples: int, plans: int, angles: int) -> None:
-        answered = self._owner.rollout(_numbers(x, self._size).copy(), _numbers(plans, rows, samples).copy())
-        _numbers(angles, rows, samples)[:] = _shaped(answered, (rows, samples))
+        answered = self._owner.rollout(numbers_at(x, self._size).copy(), numbers_at(plans, rows, samples).copy())
+        numbers_at(angles, rows, samples)[:] = _shaped(answered, (rows, samples))
 
     def _linearise(self, x: int, samples: int, plan: int, angles: int, jacobian: int) -> None:
-        along, slopes = self._owner.linearise(_numbers(x, self._size).copy(), _numbers(plan, samples).copy())
-        _numbers(angles, samples)[:] = _shaped(along, (samples,))
-        _numbers(jacobian, samples, samples)[:] = _shaped(slopes, (samples, samples))
+        along, slopes = self._owner.linearise(numbers_at(x, self._size).copy(), numbers_at(plan, samples).copy())
+        numbers_at(angles, samples)[:] = _shaped(along, (samples,))
+        numbers_at(jacobian, samples, samples)[:] = _shaped(slopes, (samples, samples))
 
     def _command(self, x: int, states: int, theta: float, u_last: float, u: int) -> None:
-        command = self._owner.command(_numbers(x, states).copy(), theta, u_last)
+        command = self._owner.command(numbers_at(x, states).copy(), theta, u_last)
         ctypes.c_double.from_address(u).value = float(command)
-
-
-def _numbers(address: int, *shape: int) -> Vec:
-    """The numbers at an address."""
-    memory = (ctypes.c_double * math.prod(shape)).from_address(address)
-    return np.ndarray(shape, dtype=np.float64, buffer=memoryview(memory))
 
 
 def _shaped(values: Any, shape: tuple[int, ...]) -> Vec:

@@ -36,7 +36,6 @@ class Estimate:
     """What is known of the device in one state of a controller; read from its memory.
 
     Attributes:
-        state: of the model (S,) after every command sent so far, also those still on their way.
         command: the command really sent last [mm or bar].
         angles: predicted angles [deg] without disturbance: now, then at the ends of the samples whose commands
             are still on their way; `delay_samples + 1` entries, none without a model.
@@ -53,7 +52,6 @@ class Estimate:
         since: share of a sample by which the last accepted measurement is younger than `missing` samples.
     """
 
-    state: Vec
     command: float
     angles: tuple[float, ...]
     responsive: tuple[bool, ...]
@@ -91,10 +89,9 @@ class Places(NamedTuple):
 def read_estimate(memory: Bytes, places: Places) -> Estimate:
     """Read the estimate that begins a memory (B,): see `hystmpc_estimate` in core/observer.h."""
     k, numbers = _KNOWN.from_address(memory.ctypes.data), memory[_BEHIND_KNOWN:].view(np.float64)
-    ends = np.cumsum([0, places.states, *[places.angles] * 3, 3 * places.filters]).tolist()
-    model, angles, responsive, moves, bank = (numbers[a:b] for a, b in pairwise(ends))
+    ends = np.cumsum([places.states, *[places.angles] * 3, 3 * places.filters]).tolist()
+    angles, responsive, moves, bank = (numbers[a:b] for a, b in pairwise(ends))
     return Estimate(
-        state=model,
         command=k.command,
         angles=tuple(angles.tolist()),
         responsive=tuple(bool(one) for one in responsive.tolist()),

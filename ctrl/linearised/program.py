@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 from dataclasses import dataclass
 from functools import cached_property
 from threading import local
@@ -11,7 +10,7 @@ from typing import final
 import numpy as np
 
 from hystmpc.core.library import engine
-from hystmpc.core.outside import keep_fault
+from hystmpc.core.outside import keep_fault, numbers_at
 from hystmpc.core.structs import Struct, constants, struct
 from hystmpc.trials.types import Mat, Vec
 
@@ -168,9 +167,9 @@ class IterativeSolution:
     ) -> int:
         """Solve the program around a plan; 0, 1 where the iterations ran out, or a negative number for no solution."""
         size = self._horizon
-        u_last, low, high = _numbers(scalars, 3).tolist()
-        wanted, feed, plan, along = (_numbers(at, size) for at in (reference, feedforward, commands, angles))
-        slopes = _numbers(jacobian, size * size).reshape(size, size)
+        u_last, low, high = numbers_at(scalars, 3).tolist()
+        wanted, feed, plan, along = (numbers_at(at, size) for at in (reference, feedforward, commands, angles))
+        slopes = numbers_at(jacobian, size, size)
         try:
             task = PlanningTask(u_last, wanted, feed, (low, high))
             data = self._program.data(task, plan, along, slopes)
@@ -183,14 +182,10 @@ class IterativeSolution:
         self._local.words = f"OSQP: {solution.status}"
         if not solution.usable:
             return _NOT_FINITE
-        _numbers(out, size + 1)[:] = self._program.after(task, plan, along, slopes, solution.primal)
+        numbers_at(out, size + 1)[:] = self._program.after(task, plan, along, slopes, solution.primal)
         return int(solution.unfinished)
 
 
 _NO_JACOBIAN, _NO_PROGRAM, _NO_ANSWER, _NOT_FINITE = (
     constants()[f"HYSTMPC_{name}"] for name in ("NO_JACOBIAN", "NO_PROGRAM", "NO_ANSWER", "QP_NOT_FINITE")
 )
-
-
-def _numbers(address: int, count: int) -> Vec:
-    return np.ctypeslib.as_array((ctypes.c_double * count).from_address(address))

@@ -192,6 +192,33 @@ def test_a_law_that_wants_no_number_has_failed(answer: float) -> None:
     assert state.law == 0
 
 
+class Odd(Answering):
+    """A law that answers anything."""
+
+    def __init__(self, what: Any) -> None:
+        self.what = what
+
+    def propose(self, memory: int, given: ControlInput, watch: Stopwatch) -> Proposal[int]:
+        del memory, given, watch
+        return self.what
+
+
+@pytest.mark.parametrize(
+    "what",
+    [None, 1.0, Proposal("x", 1), Proposal(1.0, 1, np.ones((2, 2))), Proposal(1.0, 1, np.array(["a"])),
+     Proposal(1.0, 1, source="nobody")],
+    ids=["nothing", "number", "text", "shape", "texts", "source"],
+)  # fmt: skip
+def test_a_law_that_answers_no_proposal_has_failed(what: Any) -> None:
+    """What it raises or answers never passes through the engine as a success."""
+    controller = Bench(stop_after_failures=3).controller.with_law(Odd(what))
+    state = controller.init(CASE.y_rest, CASE.u_rest)
+    command, state = controller.step(state, CASE.y_rest, np.full(5, 45.0))
+    assert command.source is Source.INVERSE
+    assert "Error" in command.status
+    assert (state.law, state.head.failures) == (0, 1)
+
+
 def test_pid_has_nothing_to_fall_back_on_but_a_hold() -> None:
     settings = CONTROLLERS["pid"].parse({"ladder": {"max_missing_samples": 0, "stop_after_failures": 3}})
     controller = build_controller(settings, CASE.predictor, CASE.inverse, LIMITS)

@@ -192,7 +192,7 @@ def test_a_changed_device_is_foretold_after_two_flexures(name: str) -> None:
     plan = float(estimate.command) + np.cumsum(np.concatenate([np.full(12, 0.12), np.full(13, -0.1)]))
     foretold = predictor.rollout(estimate.state, plan[None])[0] + estimate.disturbance
     model = estimate.model
-    alone = Backlash().rollout(model.state, plan[None])[0] + model.disturbance
+    alone = Backlash().rollout(predictor.below(estimate.state), plan[None])[0] + model.disturbance
     device.random = np.random.default_rng(9)
     truth = []
     for u in plan.tolist():
