@@ -12,7 +12,7 @@
 #error "hystmpc: HYSTMPC_BLOCK has to be a multiple of four, and at least 16"
 #endif
 
-enum { CHAIN_STRIDE = HYSTMPC_BLOCK + 8, CHAIN_HEAD = 7, CHAIN_STAGE = 9, CHAIN_MOST = 16 };
+enum { CHAIN_STRIDE = HYSTMPC_BLOCK + 8, CHAIN_HEAD = 8, CHAIN_STAGE = 9, CHAIN_MOST = 16 };
 
 /* One stage of a chain, with the rows of its block. */
 typedef struct {
@@ -25,7 +25,7 @@ typedef struct {
 
 /* What a call works on. G rows abreast; a block has B / G samples, B = HYSTMPC_BLOCK, in rows of CHAIN_STRIDE numbers. */
 typedef struct {
-    int stages, states, signals, inputs, outputs, abreast, directions;
+    int stages, states, signals, inputs, commands, outputs, abreast, directions; /* commands: inputs not scheduled */
     const int *shown;
     chain_stage *stage;
     real *signal;   /* (signals, stride) */

@@ -18,7 +18,7 @@ long hystmpc_chain_lay_out(chain_run *r, const int *chain, int abreast, int dire
     const size_t d = (size_t)directions, g = (size_t)abreast;
     int most = 0;
     r->stages = chain[0], r->states = chain[1], r->signals = chain[4], r->inputs = chain[5], r->outputs = chain[6];
-    r->shown = chain + CHAIN_HEAD, r->abreast = abreast, r->directions = directions;
+    r->commands = chain[5] - chain[7], r->shown = chain + CHAIN_HEAD, r->abreast = abreast, r->directions = directions;
     r->stage = chain_take(begin, &used, (size_t)r->stages * sizeof(chain_stage));
     for (int k = 0; k < r->stages; k++, place += CHAIN_STAGE) {
         chain_stage one, *s = memory ? r->stage + k : &one;
@@ -107,9 +107,17 @@ void hystmpc_chain_go_on(const chain_stage *s, int g, int samples) {
     }
 }
 
-/* Rows n0 ... n0 + count - 1 of hystmpc_chain_simulate. */
-static void chain_simulate_rows(const chain_run *r, int n0, int count, int samples, const real *u, const int *us, real *x,
-                                const int *xs, int moves, real *y, const int *ys) {
+/* Scheduled inputs of samples t0 ... t0 + now - 1, the same in all rows abreast. */
+static void chain_schedule(const chain_run *r, const real *known, int samples, int t0, int now) {
+    for (int j = r->commands; j < r->inputs; j++)
+        for (int i = 0; i < now * r->abreast; i++)
+            r->signal[j * CHAIN_STRIDE + i] =
+                known ? known[(j - r->commands) * samples + t0 + i / r->abreast] : (real)NAN;
+}
+
+/* Rows n0 ... n0 + count - 1 of hystmpc_chain_simulate; the first `given` inputs are in u, the others in `known`. */
+static void chain_simulate_rows(const chain_run *r, int n0, int count, int samples, int given, const real *u, const int *us,
+                                const real *known, real *x, const int *xs, int moves, real *y, const int *ys) {
     const int g = r->abreast, block = HYSTMPC_BLOCK / g;
     for (const chain_stage *s = r->stage; s < r->stage + r->stages; s++)
         for (int i = 0; i < s->p.states; i++)
@@ -118,7 +126,8 @@ static void chain_simulate_rows(const chain_run *r, int n0, int count, int sampl
                     x[(s->place[2] + i) * xs[0] + (n0 + smaller(n, count - 1)) * xs[1]];
     for (int t0 = 0; t0 < samples; t0 += block) {
         const int now = smaller(block, samples - t0);
-        for (int j = 0; j < r->inputs; j++)
+        if (given < r->inputs) chain_schedule(r, known, samples, t0, now);
+        for (int j = 0; j < given; j++)
             for (int t = 0; t < now; t++)
                 for (int n = 0; n < g; n++)
                     r->signal[j * CHAIN_STRIDE + t * g + n] =
@@ -140,21 +149,29 @@ static void chain_simulate_rows(const chain_run *r, int n0, int count, int sampl
                 x[(s->place[2] + i) * xs[0] + (n0 + n) * xs[1]] = s->state[i * (CHAIN_STRIDE + g) + n];
 }
 
-void hystmpc_chain_simulate(const int *chain, const real *kept, int kept_rows, int rows, int samples, const real *u,
-                            const int *u_stride, real *x, const int *x_stride, int moves, real *y, const int *y_stride,
-                            char *memory) {
+static void chain_simulate_given(const int *chain, const real *kept, int kept_rows, int rows, int samples, int given,
+                                 const real *u, const int *u_stride, const real *known, real *x, const int *x_stride,
+                                 int moves, real *y, const int *y_stride, char *memory) {
     chain_run r;
     hystmpc_chain_lay_out(&r, chain, hystmpc_chain_abreast(rows), 0, memory);
     for (int n0 = 0; n0 < rows; n0 += r.abreast) {
         const int count = smaller(r.abreast, rows - n0);
         if (n0 == 0 || kept_rows > 1) hystmpc_chain_bind(&r, kept, kept_rows, n0, count, samples);
-        chain_simulate_rows(&r, n0, count, samples, u, u_stride, x, x_stride, moves, y, y_stride);
+        chain_simulate_rows(&r, n0, count, samples, given, u, u_stride, known, x, x_stride, moves, y, y_stride);
     }
 }
 
-void hystmpc_chain_roll_out(const int *chain, const real *kept, const real *x, int rows, int samples, const real *plans,
-                            real *y, char *memory) {
-    const int by_plan[3] = {0, 1, samples}, by_state[2] = {1, 0};
-    hystmpc_chain_simulate(chain, kept, 1, rows, samples, plans, by_plan, (real *)x, by_state, 0, y, by_plan, memory);
+void hystmpc_chain_simulate(const int *chain, const real *kept, int kept_rows, int rows, int samples, const real *u,
+                            const int *u_stride, real *x, const int *x_stride, int moves, real *y, const int *y_stride,
+                            char *memory) {
+    chain_simulate_given(chain, kept, kept_rows, rows, samples, chain[5], u, u_stride, NULL, x, x_stride, moves, y,
+                         y_stride, memory);
 }
 
+void hystmpc_chain_roll_out(const int *chain, const real *kept, const real *x, int rows, int samples, const real *plans,
+                            const real *known, real *y, char *memory) {
+    const int commands = chain[5] - chain[7], by_state[2] = {1, 0};
+    const int by_plan[3] = {samples, 1, commands * samples}, by_angle[3] = {samples, 1, chain[6] * samples};
+    chain_simulate_given(chain, kept, 1, rows, samples, commands, plans, by_plan, known, (real *)x, by_state, 0, y,
+                         by_angle, memory);
+}

@@ -2,13 +2,15 @@
  *
  * A chain is a block of whole numbers and its constants:
  *
- *     stages, states, parameters, kept, signals, inputs, outputs, then the signals that are outputs
+ *     stages, states, parameters, kept, signals, inputs, outputs, scheduled inputs, then the signals that are outputs
  *     9 a stage          where its table begins, where that of its state at rest (-1: none), first state, first parameter,
  *                        first kept value, first constant, constants of the step, constants of the state at rest, where
  *                        its wires begin: signals that it reads, signals that it writes
  *     wires, tables
  *
- * Signals 0 ... inputs - 1 are the commands. One axis has one input and one output; stage k reads signal k.
+ * Signals 0 ... inputs - 1 are the inputs: nu commands, and behind them ns scheduled ones, which the device measures and
+ * no controller decides (a pressure, a load). ny signals are outputs. One axis has nu, ny, ns = 1, 1, 0; stage k reads
+ * signal k.
  *
  * Memory for a call is given by the caller: bytes by the function beside it. `kept` (K, N) are the values that parameters
  * and sample time alone decide, by hystmpc_chain_prepare. */
@@ -24,7 +26,7 @@ HYSTMPC_API void hystmpc_chain_prepare(const int *chain, const real *constants, 
 /* Bytes of memory for the functions below; directions: 0 where nothing is differentiated. */
 HYSTMPC_API long hystmpc_chain_bytes(const int *chain, int rows, int directions);
 
-/* Free run of N rows over T samples.
+/* Free run of N rows over T samples; all inputs in u.
  *
  * u, y: entry j of sample t of row n at [j stride[0] + t stride[1] + n stride[2]], each with three strides.
  * x: state i of row n at [i stride[0] + n stride[1]]; overwritten by the state behind the last sample where `moves`.
@@ -43,14 +45,16 @@ HYSTMPC_API void hystmpc_chain_differentiate(const int *chain, const real *kept,
                                              const real *u, const real *du, int directions, const real *seeds,
                                              const real *x, const real *m, real *y, real *dy, char *memory);
 
-/* Angles y (H) along one plan (H) and their derivatives dy (H, H) by its commands; one input and one output. */
-HYSTMPC_API void hystmpc_chain_linearise(const int *chain, const real *kept, const real *x, const real *plan, int samples,
-                                         real *y, real *dy, char *memory);
+/* Outputs y (ny, H) along one plan (nu, H) and their derivatives dy (ny, H, nu, H) by its commands. `known` (ns, H): the
+ * scheduled inputs; null: unknown, so that nothing finite depends on them. */
+HYSTMPC_API void hystmpc_chain_linearise(const int *chain, const real *kept, const real *x, const real *plan,
+                                         const real *known, int samples, real *y, real *dy, char *memory);
 HYSTMPC_API long hystmpc_chain_linearise_bytes(const int *chain, int samples);
 
-/* Angles (N, H) of plans (N, H) from one state; memory as for N rows. */
+/* Outputs (N, ny, H) of plans (N, nu, H) from one state, the same scheduled inputs `known` (ns, H) for all, as above;
+ * memory as for N rows. */
 HYSTMPC_API void hystmpc_chain_roll_out(const int *chain, const real *kept, const real *x, int rows, int samples,
-                                        const real *plans, real *y, char *memory);
+                                        const real *plans, const real *known, real *y, char *memory);
 
 /* States at rest (S, N) of one stage and their derivatives m (S, N, D), at input u (N) and output seen (N) with
  * derivatives du and dseen (N, D); parameters (P, N) or (P, 1) of the stage, seeds (P, D); room for the registers and

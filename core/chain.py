@@ -67,9 +67,13 @@ class ChainCode:
 
     Args:
         stages: in the order of the signal.
-        wires: signals that each stage reads and those that it writes; signal 0 and the next ones are the commands. In
+        wires: signals that each stage reads and those that it writes; signal 0 and the next ones are the inputs. In
             series where left out.
         shown: signals that are outputs; the last stage's where left out.
+        scheduled: how many inputs, the last ones, are measured and not commanded.
+
+    With several inputs, commands or outputs an array has an axis for them, which comes first, or behind that of the
+    rows N where rows come first. One alone has no such axis.
 
     Raises:
         ValueError: if the numbers of a stage would lead the engine out of its memory.
@@ -80,12 +84,13 @@ class ChainCode:
         stages: Sequence[StageProgram],
         wires: Sequence[tuple[Sequence[int], Sequence[int]]] | None = None,
         shown: Sequence[int] | None = None,
+        scheduled: int = 0,
     ) -> None:
         wires = [((k,), (k + 1,)) for k in range(len(stages))] if wires is None else wires
         shown = [len(stages)] if shown is None else shown
         written = {signal for _, outs in wires for signal in outs}
         signals = max((s for ins, outs in wires for s in (*ins, *outs)), default=0) + 1
-        self.inputs, self.outputs = signals - len(written), len(shown)
+        self.inputs, self.outputs, self.scheduled = signals - len(written), len(shown), scheduled
         self.states, self.parameters, self.kept = (
             sum(getattr(stage, name) for stage in stages) for name in ("states", "parameters", "kept")
         )
@@ -114,15 +119,17 @@ class ChainCode:
         return kept
 
     def simulate(self, kept: Array, states: Array, commands: Array) -> Array:
-        """Outputs of N rows under commands (T, N); states (S, N) are overwritten by the last ones.
+        """Outputs (T, N) of N rows under all inputs (T, N); states (S, N) are overwritten by the last ones.
 
-        Several inputs or outputs: commands (inputs, T, N), outputs (outputs, T, N); one: (T, N).
+        Raises:
+            ValueError: if there are more inputs, or fewer.
         """
         samples, rows = commands.shape[-2:]
-        outputs = np.empty((self.outputs, samples, rows))
+        _expect("inputs", commands, (*_axis(self.inputs), samples, rows))
+        outputs = np.empty((*_axis(self.outputs), samples, rows))
         stride = _strides(samples * rows, rows, 1)
         self._run(kept, rows, samples, commands, stride, states, _strides(rows, 1), 1, outputs, stride)
-        return outputs if self.outputs > 1 else outputs[0]
+        return outputs
 
     def simulate_rows(self, kept: Array, states: Array, commands: Array) -> Array:
         """The same with rows first: commands and outputs (N, T), states (N, S)."""
@@ -132,14 +139,25 @@ class ChainCode:
         self._run(kept, rows, samples, commands, stride, states, _strides(1, self.states), 1, outputs, stride)
         return outputs
 
-    def roll_out(self, kept: Array, state: Array, plans: Array) -> Array:
-        """Outputs (N, H) of plans (N, H), all from one state (S,)."""
-        rows, samples = plans.shape
-        outputs = np.empty((rows, samples))
+    def roll_out(self, kept: Array, state: Array, plans: Array, known: Array | None = None) -> Array:
+        """Outputs (N, H) of plans (N, H), all from one state (S,) and with the same scheduled inputs (H,).
+
+        Raises:
+            ValueError: if there are other commands or scheduled inputs.
+        """
+        rows, samples = plans.shape[0], plans.shape[-1]
+        self._expect_plan(plans, known, rows)
+        outputs = np.empty((rows, *_axis(self.outputs), samples))
         self.functions.chain_roll_out(
-            self.code, kept, state, rows, samples, plans, outputs, _memory(self._bytes(rows, 0))
+            self.code, kept, state, rows, samples, plans, known, outputs, _memory(self._bytes(rows, 0))
         )
         return outputs
+
+    def _expect_plan(self, plans: Array, known: Array | None, *rows: int) -> None:
+        samples = plans.shape[-1]
+        _expect("plans", plans, (*rows, *_axis(self.inputs - self.scheduled), samples))
+        if self.scheduled or known is not None:
+            _expect("scheduled inputs", np.empty(0) if known is None else known, (*_axis(self.scheduled), samples))
 
     def _bytes(self, rows: int, directions: int) -> int:
         """Memory of a call; that of one row, and of as many as run abreast."""
@@ -186,14 +204,25 @@ class ChainCode:
             seeds.shape[1], seeds, x, m, room
         )  # fmt: skip
 
-    def linearise(self, kept: Array, state: Array, plan: Array) -> tuple[Array, Array]:
-        """Outputs (H,) along one plan (H,) and their derivatives (H, H) by its commands."""
-        size = plan.size
-        y, dy = np.empty(size), np.empty((size, size))
+    def linearise(
+        self, kept: Array, state: Array, plan: Array, known: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Outputs (H,) along one plan (H,), with scheduled inputs (H,), and their derivatives (H, H) by its commands.
+
+        Several: outputs (ny, H), plan (nu, H), scheduled inputs (ns, H), derivatives (ny, H, nu, H).
+
+        Raises:
+            ValueError: if there are other commands or scheduled inputs.
+        """
+        size = plan.shape[-1]
+        self._expect_plan(plan, known)
+        y = np.empty((*_axis(self.outputs), size))
+        dy = np.empty((*y.shape, *plan.shape))
         key = (size,)
         if key not in self._known_bytes:
             self._known_bytes[key] = self.functions.chain_linearise_bytes(self.code, size)
-        self.functions.chain_linearise(self.code, kept, state, plan, size, y, dy, _memory(self._known_bytes[key]))
+        memory = _memory(self._known_bytes[key])
+        self.functions.chain_linearise(self.code, kept, state, plan, known, size, y, dy, memory)
         return y, dy
 
     def step(self, kept: Array, state: Array, u: float) -> tuple[float, Array]:
@@ -280,7 +309,8 @@ def _block(
     sizes: Any,
 ) -> tuple[Whole, Array]:
     """Whole numbers and constants of a chain, see `chain.h`."""
-    head = [len(stages), sizes.states, sizes.parameters, sizes.kept, signals, sizes.inputs, len(shown), *shown]
+    head = [len(stages), sizes.states, sizes.parameters, sizes.kept, signals, sizes.inputs, len(shown)]
+    head += [sizes.scheduled, *shown]
     at = len(head) + 9 * len(stages)
     places: list[int] = []
     tail: list[Any] = []
@@ -304,6 +334,16 @@ def _check(fault: int) -> None:
     if fault:
         kind, place = fault % _OF_REST, "at rest" if fault % _OF_STAGE >= _OF_REST else "step"
         raise ValueError(f"chain: got a stage {fault // _OF_STAGE} ({place}) without {_FAULTS[kind - 1]}")
+
+
+def _axis(count: int) -> tuple[int, ...]:
+    """Axis of so many signals; one signal has none."""
+    return (count,) if count > 1 else ()
+
+
+def _expect(name: str, array: Array, shape: tuple[int, ...]) -> None:
+    if array.shape != shape:
+        raise ValueError(f"{name}: got shape {array.shape}, expected {shape}")
 
 
 def _strides(*numbers: int) -> Whole:

@@ -157,7 +157,7 @@ int hystmpc_chain_check(const int *chain, int size, int constants) {
     for (int k = 0; k < CHAIN_HEAD; k++)
         if (!check_within(chain[k], 0, CHECK_MOST)) return HYSTMPC_FAULT_COUNT;
     const int stages = chain[0], signals = chain[4], inputs = chain[5], outputs = chain[6];
-    if (inputs < 1 || outputs < 1 || signals > CHECK_SIGNALS || inputs > signals) return HYSTMPC_FAULT_COUNT;
+    if (inputs < 1 || chain[7] >= inputs || outputs < 1 || signals > CHECK_SIGNALS || inputs > signals) return HYSTMPC_FAULT_COUNT;
     if (!check_inside(&b, CHAIN_HEAD, outputs + CHAIN_STAGE * (int64_t)stages)) return HYSTMPC_FAULT_PLACE;
     for (int j = 0; j < inputs; j++) check_write(&b, j);
     for (int k = 0; k < stages; k++) {

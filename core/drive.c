@@ -22,7 +22,7 @@ void hystmpc_lead_drive(const int *chain, const real *kept, const real *x, const
     real *const next = moves + samples, *const promised = next + samples, *const before = promised + samples;
     real *const work = before + samples;
     for (int k = 0; k < samples; k++) inputs[k] = last, moves[k] = R(0.0);
-    hystmpc_chain_linearise(chain, kept, x, inputs, samples, outputs, response, memory);
+    hystmpc_chain_linearise(chain, kept, x, inputs, NULL, samples, outputs, response, memory);
     for (int round = 0; round < DRIVE_ROUNDS; round++) {
         for (int i = 0; i < samples; i++) { /* by command -> by move, which lasts */
             real total = R(0.0);
@@ -42,7 +42,7 @@ void hystmpc_lead_drive(const int *chain, const real *kept, const real *x, const
             total += next[k];
             moves[k] = next[k], inputs[k] = last + total;
         }
-        hystmpc_chain_linearise(chain, kept, x, inputs, samples, outputs, response, memory);
+        hystmpc_chain_linearise(chain, kept, x, inputs, NULL, samples, outputs, response, memory);
         for (int k = 0; k < samples; k++) {
             missed = most(missed, absolute(outputs[k] - promised[k]));
             change = most(change, absolute(outputs[k] - before[k]));

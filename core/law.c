@@ -26,18 +26,45 @@ HYSTMPC_LOCAL void hystmpc_clip_plan(int samples, real lower, real upper, real r
     }
 }
 
+/* Whether there is an axis with a command, and with an angle, from here on. */
+static int law_moves(const hystmpc_law *l) { return l && l->moves; }
+static int law_tracks(const hystmpc_law *l) { return l && l->tracking; }
+
+HYSTMPC_LOCAL int hystmpc_program_commands(const hystmpc_law *l) {
+    int count = 0;
+    for (; law_moves(l); l = l->next) count += l->horizon;
+    return count;
+}
+
+HYSTMPC_LOCAL int hystmpc_program_angles(const hystmpc_law *l) {
+    int count = 0;
+    for (; law_tracks(l); l = l->next) count += l->horizon;
+    return count;
+}
+
 HYSTMPC_LOCAL real hystmpc_plan_cost(const hystmpc_law *l, const hystmpc_task *t, const real *commands,
                                      const real *angles) {
-    real total = R(0.0), before = t->u_last;
-    for (int k = 0; k < l->horizon; k++) {
-        const real error = angles[k] - t->reference[k], move = commands[k] - before;
-        const real off = commands[k] - t->feedforward[k];
-        total += l->tracking[k] * error * error + l->rate_weight * move * move + l->effort_weight * off * off;
-        if (l->soft) {
-            const real excess = most(angles[k] - t->high, R(0.0)) + most(t->low - angles[k], R(0.0));
-            total += l->soft_weight * excess * excess;
+    const int samples = l->horizon;
+    real total = R(0.0);
+    for (; l; l = l->next, t = t->next, commands += samples, angles += samples) {
+        real before = t->u_last;
+        for (int k = 0; k < samples; k++) {
+            real here = R(0.0);
+            if (l->tracking) {
+                const real error = angles[k] - t->reference[k];
+                here = l->tracking[k] * error * error;
+            }
+            if (l->moves) {
+                const real move = commands[k] - before, off = commands[k] - t->feedforward[k];
+                here = here + l->rate_weight * move * move + l->effort_weight * off * off;
+                before = commands[k];
+            }
+            total += here;
+            if (l->tracking && l->soft) {
+                const real excess = most(angles[k] - t->high, R(0.0)) + most(t->low - angles[k], R(0.0));
+                total += l->soft_weight * excess * excess;
+            }
         }
-        before = commands[k];
     }
     return is_finite(total) ? total : INFINITE;
 }
@@ -100,153 +127,168 @@ HYSTMPC_LOCAL int hystmpc_candidates(const hystmpc_law *l, const real *boxed, co
     return count;
 }
 
-/* A row for the command of each sample, one for each move, and one for the angle of each sample with soft limits. */
-HYSTMPC_LOCAL int hystmpc_program_rows(const hystmpc_law *l) {
-    return l->horizon + l->moves + hystmpc_program_slacks(l);
+HYSTMPC_LOCAL int hystmpc_program_unknowns(const hystmpc_law *l) {
+    int count = 0;
+    for (; law_moves(l); l = l->next) count += l->moves;
+    return count;
 }
 
-HYSTMPC_LOCAL int hystmpc_program_slacks(const hystmpc_law *l) { return l->soft ? l->horizon : 0; }
+/* A row for each command, one for each move, and one for each angle with soft limits. */
+HYSTMPC_LOCAL int hystmpc_program_rows(const hystmpc_law *l) {
+    return hystmpc_program_commands(l) + hystmpc_program_unknowns(l) + hystmpc_program_slacks(l);
+}
+
+HYSTMPC_LOCAL int hystmpc_program_slacks(const hystmpc_law *l) {
+    int count = 0;
+    for (; law_tracks(l); l = l->next) count += l->soft ? l->horizon : 0;
+    return count;
+}
 
 HYSTMPC_LOCAL void hystmpc_block_columns(const hystmpc_law *l, const real *jacobian, real *columns) {
-    const int samples = l->horizon, m = l->moves;
-    for (int k = 0; k < samples; k++) {
-        for (int b = 0; b < m; b++) {
-            const int stop = b + 2 < m ? l->starts[b + 2] : samples;
-            real sum = R(0.0);
-            for (int i = l->starts[b]; i <= k && i < stop; i++) sum += jacobian[k * samples + i] * l->blocking[i * m + b];
-            columns[k * m + b] = sum;
-        }
-    }
-}
-
-/* Soft limits of the angle of sample k, which depends on the first `count` unknowns: a variable s of its own, with
- * a <= theta_p + J v + s <= b at the cost w_s s^2. Answers the row behind. */
-static int soften(hystmpc_qp *q, const hystmpc_law *l, const hystmpc_task *t, real angle, const real *slopes, int count,
-                  int row) {
-    if (!l->soft) return row;
-    for (int j = 0; j < count; j++) q->columns[j * q->rows + row] = slopes[j];
-    q->soft[row] = R(0.5) / l->soft_weight;
-    q->lower[row] = t->low - angle;
-    q->upper[row] = t->high - angle;
-    return row + 1;
-}
-
-/* The command of a sample within the box, and the move from unknown i - 1 to unknown i within its bounds. */
-static int bound_command(hystmpc_qp *q, const hystmpc_law *l, real command, int row) {
-    q->lower[row] = l->lower - command;
-    q->upper[row] = l->upper - command;
-    return row + 1;
-}
-
-static int bound_move(hystmpc_qp *q, int i, real low, real high, int row) {
-    q->columns[i * q->rows + row] = R(1.0);
-    if (i) q->columns[(i - 1) * q->rows + row] = R(-1.0);
-    q->lower[row] = low;
-    q->upper[row] = high;
-    return row + 1;
+    const int samples = l->horizon, rows = hystmpc_program_angles(l);
+    for (int row = 0; row < rows; row++)
+        for (const hystmpc_law *i = l; law_moves(i); i = i->next, jacobian += samples)
+            for (int b = 0; b < i->moves; b++) {
+                const int stop = b + 2 < i->moves ? i->starts[b + 2] : samples;
+                real sum = R(0.0);
+                for (int k = i->starts[b]; k <= row % samples && k < stop; k++)
+                    sum += jacobian[k] * i->blocking[k * i->moves + b];
+                *columns++ = sum;
+            }
 }
 
 static real move_of(const hystmpc_task *t, const real *commands, int k) {
     return commands[k] - (k ? commands[k - 1] : t->u_last);
 }
 
-/* In the deviation v of the commands from the plan, theta(p + v) ~ theta_p + J v:
- *     P = 2 (J'QJ + w_r D'D + w_e I),  q = 2 (J'Q (theta_p - r) + w_r D'(D p - e_1 u_last) + w_e (p - f)) */
-static void build_free(hystmpc_qp *q, const hystmpc_law *l, const hystmpc_task *t, const real *commands,
-                       const real *angles, const real *jacobian) {
+/* Of one input, whose unknowns begin at `first`: P = 2 (w_r D'D + w_e I) and q = 2 (w_r D'(D p - e_1 u_last) + w_e (p - f))
+ * in the deviations v of its commands from the plan, M'P M and M'q in those at the ends of blocks. */
+static void add_moves(hystmpc_qp *q, const hystmpc_law *l, const hystmpc_task *t, const real *commands, int first) {
     const real rate = R(2.0) * l->rate_weight, effort = R(2.0) * l->effort_weight;
-    const int samples = l->horizon;
-    int row = 0;
-    for (int i = 0; i < samples; i++) {
-        real *const hessian = q->hessian + i * samples;
-        const real move = move_of(t, commands, i);
-        real total = effort * (commands[i] - t->feedforward[i]) + rate * move;
-        if (i + 1 < samples) total -= rate * move_of(t, commands, i + 1);
-        for (int k = i; k < samples; k++) {
-            const real *const slopes = jacobian + k * samples, weighted = R(2.0) * l->tracking[k] * slopes[i];
-            total += weighted * (angles[k] - t->reference[k]);
-            for (int j = 0; j <= i; j++) hessian[j] += weighted * slopes[j];
+    const int m = l->moves;
+    for (int b = 0; b < m; b++) {
+        real *const hessian = q->hessian + (first + b) * q->unknowns + first, sum = R(0.0);
+        if (l->blocked) {
+            copy(l->constant + b * m, hessian, b + 1);
+            for (int k = 0; k < l->horizon; k++) {
+                const real here = l->blocking[k * m + b], before = k ? l->blocking[(k - 1) * m + b] : R(0.0);
+                sum += rate * (here - before) * move_of(t, commands, k);
+                sum += effort * here * (commands[k] - t->feedforward[k]);
+            }
+        } else {
+            hessian[b] = effort + (b + 1 < m ? R(2.0) * rate : rate);
+            if (b) hessian[b - 1] = -rate;
+            sum = effort * (commands[b] - t->feedforward[b]) + rate * move_of(t, commands, b);
+            if (b + 1 < m) sum -= rate * move_of(t, commands, b + 1);
         }
-        hessian[i] += effort + (i + 1 < samples ? R(2.0) * rate : rate);
-        if (i) hessian[i - 1] -= rate;
-        q->gradient[i] = total;
-        q->columns[i * q->rows + row] = R(1.0);
-        row = bound_command(q, l, commands[i], row);
-        row = bound_move(q, i, -l->reach - move, l->reach - move, row);
-        row = soften(q, l, t, angles[i], jacobian + i * samples, i + 1, row);
+        q->gradient[first + b] = sum;
     }
 }
 
-/* Cost in the deviations w at the ends of blocks, v = M w. */
-static void blocked_cost(hystmpc_qp *q, const hystmpc_law *l, const hystmpc_task *t, const real *commands,
-                         const real *angles, const real *columns) {
-    const int samples = l->horizon, m = l->moves;
-    for (int b = 0; b < m; b++) {
-        real sum = R(0.0);
-        for (int k = 0; k < samples; k++) {
-            const real here = l->blocking[k * m + b], before = k ? l->blocking[(k - 1) * m + b] : R(0.0);
-            sum += R(2.0) * l->rate_weight * (here - before) * move_of(t, commands, k);
-            sum += R(2.0) * l->effort_weight * here * (commands[k] - t->feedforward[k]);
+/* Of all angles, with C = J M: P += 2 C'QC, q += 2 C'Q (theta_p - r). An unknown acts from its first sample on. */
+static void add_tracking(hystmpc_qp *q, const hystmpc_law *l, const hystmpc_task *t, const real *angles,
+                         const real *columns) {
+    const int samples = l->horizon, n = q->unknowns;
+    int u = 0;
+    for (const hystmpc_law *i = l; law_moves(i); i = i->next)
+        for (int b = 0; b < i->moves; b++, u++) {
+            real *const hessian = q->hessian + u * n, total = q->gradient[u];
+            const real *angle = angles, *slopes = columns;
+            const hystmpc_task *aim = t;
+            for (const hystmpc_law *o = l; law_tracks(o); o = o->next, aim = aim->next, angle += samples)
+                for (int k = 0; k < samples; k++, slopes += n) {
+                    if (k < i->starts[b]) continue;
+                    const real weighted = R(2.0) * o->tracking[k] * slopes[u];
+                    total += weighted * (angle[k] - aim->reference[k]);
+                    for (int v = 0; v <= u; v++) hessian[v] += weighted * slopes[v];
+                }
+            q->gradient[u] = total;
         }
-        for (int k = l->starts[b]; k < samples; k++)
-            sum += R(2.0) * l->tracking[k] * (angles[k] - t->reference[k]) * columns[k * m + b];
-        q->gradient[b] = sum;
-        for (int a = 0; a <= b; a++) {
-            real total = l->constant[a * m + b];
-            for (int k = l->starts[b]; k < samples; k++)
-                total += R(2.0) * l->tracking[k] * columns[k * m + a] * columns[k * m + b];
-            q->hessian[b * m + a] = total;
-        }
-    }
 }
 
 /* The move of v is one number in a block, so is its rate limit: the plan's greatest move in the block decides. The plan
  * is admissible but for rounding, so that no move always is. */
-static int bound_block(hystmpc_qp *q, const hystmpc_law *l, const hystmpc_task *t, const real *commands, int b, int row) {
+static int bound_move(hystmpc_qp *q, const hystmpc_law *l, const hystmpc_task *t, const real *commands, int b,
+                      real *columns, int row) {
     real slowest = move_of(t, commands, l->starts[b]), fastest = slowest;
     for (int k = l->starts[b] + 1; k <= l->ends[b]; k++) {
         slowest = least(slowest, move_of(t, commands, k));
         fastest = most(fastest, move_of(t, commands, k));
     }
     const real length = (real)(l->ends[b] + 1 - l->starts[b]);
-    return bound_move(q, b, length * least(-l->reach - slowest, R(0.0)), length * most(l->reach - fastest, R(0.0)), row);
+    columns[b * q->rows + row] = R(1.0);
+    if (b) columns[(b - 1) * q->rows + row] = R(-1.0);
+    q->lower[row] = length * least(-l->reach - slowest, R(0.0));
+    q->upper[row] = length * most(l->reach - fastest, R(0.0));
+    return row + 1;
+}
+
+/* The command of sample k, which lies in block b or behind it, within the box. `columns`: of the input's unknowns. */
+static int bound_command(hystmpc_qp *q, const hystmpc_law *l, const real *commands, int k, int b, real *columns, int row) {
+    for (int i = l->blocked && b ? b - 1 : b; i <= b; i++)
+        columns[i * q->rows + row] = l->blocked ? l->blocking[k * l->moves + i] : R(1.0);
+    q->lower[row] = l->lower - commands[k];
+    q->upper[row] = l->upper - commands[k];
+    return row + 1;
+}
+
+/* Soft limits of an angle in sample k, which depends on all unknowns that act by then: a variable s of its own, with
+ * a <= theta_p + J v + s <= b at the cost w_s s^2. `limited`: law of the axis. Answers the row behind. */
+static int soften(hystmpc_qp *q, const hystmpc_law *l, const hystmpc_law *limited, const hystmpc_task *t, real angle,
+                  const real *slopes, int k, int row) {
+    int u = 0;
+    for (; law_moves(l); u += l->moves, l = l->next)
+        for (int b = 0; b < l->moves && l->starts[b] <= k; b++) q->columns[(u + b) * q->rows + row] = slopes[u + b];
+    q->soft[row] = R(0.5) / limited->soft_weight;
+    q->lower[row] = t->low - angle;
+    q->upper[row] = t->high - angle;
+    return row + 1;
 }
 
 HYSTMPC_LOCAL void hystmpc_build_program(hystmpc_qp *q, const hystmpc_law *l, const hystmpc_task *t,
                                          const real *commands, const real *angles, const real *columns) {
-    const int m = l->moves;
-    if (!l->blocked) {
-        build_free(q, l, t, commands, angles, columns);
-        return;
-    }
-    blocked_cost(q, l, t, commands, angles, columns);
-    for (int k = 0, b = 0, row = 0; k < l->horizon; k++) { /* b: the block of sample k, the last one behind all blocks */
-        if (b + 1 < m && k == l->starts[b + 1]) b++;
-        if (k == l->starts[b]) row = bound_block(q, l, t, commands, b, row);
-        for (int i = b ? b - 1 : 0; i <= b; i++) q->columns[i * q->rows + row] = l->blocking[k * m + i];
-        row = bound_command(q, l, commands[k], row);
-        row = soften(q, l, t, angles[k], columns + k * m, b + 1, row);
+    const int samples = l->horizon, n = q->unknowns;
+    const hystmpc_law *axis;
+    const hystmpc_task *task = t;
+    const real *plan = commands;
+    int first = 0, row = 0;
+    for (axis = l; law_moves(axis); first += axis->moves, axis = axis->next, task = task->next, plan += samples)
+        add_moves(q, axis, task, plan, first);
+    add_tracking(q, l, t, angles, columns);
+    for (axis = l, first = 0; axis; first += axis->moves, axis = axis->next, t = t->next) {
+        real *const moved = q->columns + first * q->rows;
+        for (int k = 0, b = 0; k < samples; k++) { /* b: the block of sample k, the last one behind all blocks */
+            if (b + 1 < axis->moves && k == axis->starts[b + 1]) b++;
+            if (axis->moves && k == axis->starts[b]) row = bound_move(q, axis, t, commands, b, moved, row);
+            if (axis->moves) row = bound_command(q, axis, commands, k, b, moved, row);
+            if (axis->tracking && axis->soft) row = soften(q, l, axis, t, angles[k], columns + k * n, k, row);
+        }
+        commands += samples, angles += samples, columns += samples * n;
     }
 }
 
 HYSTMPC_LOCAL void hystmpc_deviation(const hystmpc_law *l, const real *primal, real *deviation) {
-    const int m = l->moves;
-    for (int k = 0; k < l->horizon; k++) {
-        deviation[k] = l->blocked ? R(0.0) : primal[k];
-        for (int b = 0; l->blocked && b < m; b++) deviation[k] += l->blocking[k * m + b] * primal[b];
-    }
+    for (; law_moves(l); deviation += l->horizon, primal += l->moves, l = l->next)
+        for (int k = 0; k < l->horizon; k++) {
+            deviation[k] = l->blocked ? R(0.0) : primal[k];
+            for (int b = 0; l->blocked && b < l->moves; b++) deviation[k] += l->blocking[k * l->moves + b] * primal[b];
+        }
 }
 
 HYSTMPC_LOCAL void hystmpc_after_moves(const hystmpc_law *l, const hystmpc_task *t, const real *jacobian,
                                        const real *commands, const real *angles, const real *primal, real *foreseen,
                                        real *plan, real *cost) {
-    const int samples = l->horizon;
+    const int samples = l->horizon, width = hystmpc_program_commands(l), rows = hystmpc_program_angles(l);
+    const hystmpc_task *last = t;
+    real *limited = plan;
     hystmpc_deviation(l, primal, plan);
-    for (int k = 0; k < samples; k++) plan[k] = commands[k] + plan[k];
-    hystmpc_clip_plan(samples, l->lower, l->upper, l->reach, t->u_last, plan);
-    for (int k = 0; k < samples; k++) {
-        foreseen[k] = angles[k];
-        for (int j = 0; j <= k; j++) foreseen[k] += jacobian[k * samples + j] * (plan[j] - commands[j]);
+    for (int k = 0; k < width; k++) plan[k] = commands[k] + plan[k];
+    for (const hystmpc_law *i = l; law_moves(i); i = i->next, last = last->next, limited += samples)
+        hystmpc_clip_plan(samples, i->lower, i->upper, i->reach, last->u_last, limited);
+    for (int row = 0; row < rows; row++, jacobian += width) {
+        foreseen[row] = angles[row];
+        for (int j = 0; j < width; j++)
+            if (j % samples <= row % samples) foreseen[row] += jacobian[j] * (plan[j] - commands[j]);
     }
     *cost = hystmpc_plan_cost(l, t, plan, foreseen);
 }
@@ -254,14 +296,15 @@ HYSTMPC_LOCAL void hystmpc_after_moves(const hystmpc_law *l, const hystmpc_task 
 HYSTMPC_LOCAL int hystmpc_step_plan(const hystmpc_law *l, const hystmpc_task *t, const real *jacobian,
                                     const real *commands, const real *angles, int changes, real *room, int *whole,
                                     real *plan, real *cost) {
-    const int m = l->moves, rows = hystmpc_program_rows(l), slacks = hystmpc_program_slacks(l);
-    real *const behind = room + hystmpc_qp_reals(m, rows, slacks);
+    const int n = hystmpc_program_unknowns(l), rows = hystmpc_program_rows(l), slacks = hystmpc_program_slacks(l);
+    const int slopes = hystmpc_program_angles(l) * hystmpc_program_commands(l);
+    real *const behind = room + hystmpc_qp_reals(n, rows, slacks);
     hystmpc_qp q;
-    hystmpc_place_qp(&q, m, rows, slacks, room, whole);
+    hystmpc_place_qp(&q, n, rows, slacks, room, whole);
     if (l->blocked) hystmpc_block_columns(l, jacobian, behind);
     hystmpc_build_program(&q, l, t, commands, angles, l->blocked ? behind : jacobian);
-    if (!all_finite(q.gradient, m) || !all_finite(q.hessian, m * m))
-        return all_finite(jacobian, l->horizon * l->horizon) ? HYSTMPC_NO_PROGRAM : HYSTMPC_NO_JACOBIAN;
+    if (!all_finite(q.gradient, n) || !all_finite(q.hessian, n * n))
+        return all_finite(jacobian, slopes) ? HYSTMPC_NO_PROGRAM : HYSTMPC_NO_JACOBIAN;
     const int answer = hystmpc_solve_qp(&q, changes);
     if (answer >= 0) hystmpc_after_moves(l, t, jacobian, commands, angles, q.primal, behind, plan, cost);
     return answer;

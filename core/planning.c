@@ -11,8 +11,9 @@ int hystmpc_qp_bytes(int unknowns, int rows, int slacks) {
 
 int hystmpc_law_bytes(const void *law) {
     const hystmpc_law *const l = law;
-    return hystmpc_qp_bytes(l->moves, hystmpc_program_rows(l), hystmpc_program_slacks(l)) +
-           (int)sizeof(real) * l->horizon * l->moves;
+    const int unknowns = hystmpc_program_unknowns(l);
+    return hystmpc_qp_bytes(unknowns, hystmpc_program_rows(l), hystmpc_program_slacks(l)) +
+           (int)sizeof(real) * hystmpc_program_angles(l) * unknowns;
 }
 
 /* An empty program in `room`; answers the `more` numbers behind its own. */
@@ -26,8 +27,9 @@ void hystmpc_program(const void *law, const void *task, const real *jacobian, co
                      char *room, real *hessian, real *gradient, real *rows, real *bounds) {
     const hystmpc_law *const l = law;
     hystmpc_qp q;
-    real *const columns = place_any_program(&q, l->moves, hystmpc_program_rows(l), hystmpc_program_slacks(l),
-                                            l->horizon * l->moves, room);
+    const int unknowns = hystmpc_program_unknowns(l);
+    real *const columns = place_any_program(&q, unknowns, hystmpc_program_rows(l), hystmpc_program_slacks(l),
+                                            hystmpc_program_angles(l) * unknowns, room);
     if (l->blocked) hystmpc_block_columns(l, jacobian, columns);
     hystmpc_build_program(&q, l, task, commands, angles, l->blocked ? columns : jacobian);
     copy(q.hessian, hessian, q.unknowns * q.unknowns);
@@ -42,7 +44,7 @@ void hystmpc_plan_after(const void *law, const void *task, const real *jacobian,
                         const real *angles, const real *primal, char *room, real *out) {
     const hystmpc_law *const l = law;
     real *const foreseen = (real *)(void *)room;
-    hystmpc_after_moves(l, task, jacobian, commands, angles, primal, foreseen, out, out + l->horizon);
+    hystmpc_after_moves(l, task, jacobian, commands, angles, primal, foreseen, out, out + hystmpc_program_commands(l));
 }
 
 int hystmpc_quadratic_program(int unknowns, int rows, const real *hessian, const real *gradient,

@@ -1,8 +1,8 @@
 /* The predictive law as Python calls it: admissible plans, and the quadratic program of a planning step, which OSQP can
  * solve in place of qp.c.
  *
- * A `law` is a `hystmpc_law`, a `task` a `hystmpc_task`. Plans are (H), angles too [deg]; J (H, H) is the lower triangular
- * Jacobian of the angles [deg per command unit]. */
+ * A `law` is a `hystmpc_law`, a `task` a `hystmpc_task`. With nu commands and ny angles plans are (nu, H), angles (ny, H)
+ * [deg] and J (ny, H, nu, H) is the Jacobian of the angles [deg per command unit], zero where the command is later. */
 #ifndef HYSTMPC_PLANNING_H
 #define HYSTMPC_PLANNING_H
 
@@ -18,12 +18,12 @@ HYSTMPC_API int hystmpc_law_bytes(const void *law);
 HYSTMPC_API int hystmpc_qp_bytes(int unknowns, int rows, int slacks);
 
 /* The program around a plan: P (m, m) of which the lower triangle is filled, q (m), A (m, R) by columns, and (3, R) lower
- * and upper bounds and soft shares; R = H + m, and H more with soft limits. */
+ * and upper bounds and soft shares; R = nu H + m, and H more for each angle with soft limits. */
 HYSTMPC_API void hystmpc_program(const void *law, const void *task, const real *jacobian, const real *commands,
                                  const real *angles, char *room, real *hessian, real *gradient, real *rows,
                                  real *bounds);
 
-/* The admissible plan (H) after a solution z (m) of that program, and behind it its cost by the linearisation. */
+/* The admissible plan (nu, H) after a solution z (m) of that program, and behind it its cost by the linearisation. */
 HYSTMPC_API void hystmpc_plan_after(const void *law, const void *task, const real *jacobian, const real *commands,
                                     const real *angles, const real *primal, char *room, real *out);
 

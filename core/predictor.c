@@ -109,7 +109,7 @@ int hystmpc_predictor_run(const void *predictor, const real *x, int rows, int sa
     const hystmpc_predictor *const p = predictor;
     room = room_begin(room);
     switch (p->kind) {
-    case HYSTMPC_CHAIN: hystmpc_chain_roll_out(p->chain, p->kept, x, rows, samples, plans, angles, room); return 0;
+    case HYSTMPC_CHAIN: hystmpc_chain_roll_out(p->chain, p->kept, x, rows, samples, plans, NULL, angles, room); return 0;
     case HYSTMPC_RECURRENT:
         tree_run_network(p, x, rows, samples, plans, angles, (real *)(void *)room);
         return 0;
@@ -163,7 +163,7 @@ int hystmpc_predictor_linearise(const void *predictor, const real *x, int sample
     const hystmpc_predictor *const p = predictor;
     room = room_begin(room);
     switch (p->kind) {
-    case HYSTMPC_CHAIN: hystmpc_chain_linearise(p->chain, p->kept, x, plan, samples, angles, jacobian, room); return 0;
+    case HYSTMPC_CHAIN: hystmpc_chain_linearise(p->chain, p->kept, x, plan, NULL, samples, angles, jacobian, room); return 0;
     case HYSTMPC_RECURRENT: {
         const int usable = tree_finite_sum(x, p->states, plan, samples);
         tree_fill_lower(jacobian, usable ? R(0.0) : (real)NAN, samples);

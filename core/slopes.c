@@ -254,16 +254,18 @@ static void differentiate_runs(const chain_run *r, const group_of_runs *c) {
     }
 }
 
-/* One run in which every command is a direction; rows of dy (H, H). */
-void hystmpc_chain_linearise(const int *chain, const real *kept, const real *x, const real *plan, int samples, real *y,
-                             real *dy, char *memory) {
-    const int first[2] = {0, samples};
+/* One run in which every command is a direction, and no scheduled input; rows of dy (ny H, nu H). */
+void hystmpc_chain_linearise(const int *chain, const real *kept, const real *x, const real *plan, const real *known,
+                             int samples, real *y, real *dy, char *memory) {
+    const int first[2] = {0, samples}, inputs = chain[5] * samples, directions = inputs - chain[7] * samples;
     chain_run r;
-    real *at = (real *)(memory + hystmpc_chain_lay_out(&r, chain, 1, samples, memory));
-    real *const du = at, *const m = du + samples * samples, *const seeds = m + r.states * samples;
-    for (int i = 0; i < samples * samples; i++) du[i] = i % (samples + 1) == 0 ? R(1.0) : R(0.0);
-    for (int i = 0; i < (r.states + chain[2]) * samples; i++) m[i] = R(0.0);
-    const group_of_runs c = {.first = first, .count = 1, .runs = 1, .samples = samples, .u = plan, .du = du,
+    real *at = (real *)(memory + hystmpc_chain_lay_out(&r, chain, 1, directions, memory));
+    real *const u = at, *const du = u + inputs, *const m = du + inputs * directions;
+    real *const seeds = m + r.states * directions;
+    for (int i = 0; i < inputs; i++) u[i] = i < directions ? plan[i] : known ? known[i - directions] : (real)NAN;
+    for (int i = 0; i < inputs * directions; i++) du[i] = i % directions == i / directions ? R(1.0) : R(0.0);
+    for (int i = 0; i < (r.states + chain[2]) * directions; i++) m[i] = R(0.0);
+    const group_of_runs c = {.first = first, .count = 1, .runs = 1, .samples = samples, .u = u, .du = du,
                              .seeds = seeds, .x = x, .m = m, .y = y, .dy = dy};
     hystmpc_chain_bind(&r, kept, 1, 0, 1, samples);
     differentiate_runs(&r, &c);
@@ -271,8 +273,9 @@ void hystmpc_chain_linearise(const int *chain, const real *kept, const real *x, 
 
 long hystmpc_chain_linearise_bytes(const int *chain, int samples) {
     chain_run r;
-    const long numbers = (long)samples * (samples + chain[1] + chain[2]);
-    return hystmpc_chain_lay_out(&r, chain, 1, samples, NULL) + (long)sizeof(real) * numbers + 64;
+    const long inputs = (long)chain[5] * samples, directions = inputs - (long)chain[7] * samples;
+    const long numbers = inputs + directions * (inputs + chain[1] + chain[2]);
+    return hystmpc_chain_lay_out(&r, chain, 1, (int)directions, NULL) + (long)sizeof(real) * numbers + 64;
 }
 
 void hystmpc_chain_differentiate(const int *chain, const real *kept, int rows, const int *first, const real *u,

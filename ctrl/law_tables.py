@@ -73,12 +73,18 @@ class MoveBlocking:
 
 
 def law_over(
-    weights: WeightsSettings, horizon: int, limits: CommandLimits, dt: float, blocks: tuple[int, ...] | None = None
+    weights: WeightsSettings,
+    horizon: int,
+    limits: CommandLimits,
+    dt: float,
+    blocks: tuple[int, ...] | None = None,
+    following: Struct | None = None,
 ) -> Struct:
     """Return the `hystmpc_law` of weights over a horizon.
 
     Args:
         blocks: samples of each block of moves, see `MoveBlocking`; None if every sample may move.
+        following: law of the next axes, of the same horizon, and with blocks where this one has them.
 
     Raises:
         ControllerError: if the blocks do not fit the horizon, or the angle limits cross.
@@ -105,5 +111,6 @@ def law_over(
         tracking=weights.over(horizon),
         starts=starts,
         ends=ends,
+        next=following,
         **tables,
     )

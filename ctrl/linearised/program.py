@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from threading import local
-from typing import final
+from typing import Any, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hystmpc.core.library import engine
 from hystmpc.core.outside import keep_fault, numbers_at
@@ -15,7 +17,7 @@ from hystmpc.core.structs import Struct, constants, struct
 from hystmpc.trials.types import Mat, Vec
 
 from ..command import CommandLimits
-from ..law_tables import MoveBlocking, law_over
+from ..law_tables import law_over
 from ..mpc_settings import WeightsSettings
 from .qp import OsqpOptions, QpData, QpPattern
 
@@ -28,6 +30,7 @@ class PlanningTask:
     reference: Vec  # wanted angles [deg], shape (H,)
     feedforward: Vec  # the inverse plan, from which effort is measured, shape (H,)
     angle_limits: tuple[float, float]  # soft limits of the angle [deg], lower and upper
+    following: PlanningTask | None = None  # that of the next axis
 
     @cached_property
     def part(self) -> Struct:
@@ -40,6 +43,7 @@ class PlanningTask:
             u_last=self.u_last,
             low=low,
             high=high,
+            next=None if self.following is None else self.following.part,
         )
 
 
@@ -60,46 +64,48 @@ class PlanProgram:
         P = 2 ((J M)'Q (J M) + w_r (D M)'D M + w_e M'M),  q = M' q_full
         L_b (-rate dt - min D p) <= w_b - w_{b-1} <= L_b (rate dt - max D p),  min and max over block b
 
-    Rows stand in the order of the samples; the engine fills them, see core/law.c.
+    Rows stand in the order of the samples, one axis after the other; the engine fills them, see core/law.c. A law of
+    several axes has nu commands and ny angles: then p, v are (nu, H), theta_p, r, s (ny, H) and J (ny, H, nu, H).
 
     Args:
-        dt: sample time [s].
-        blocks: samples of each block of moves; None if every sample may move.
+        law: `hystmpc_law` of all axes, see `law_over`.
 
     Attributes:
         pattern: of all programs of these settings.
-
-    Raises:
-        ControllerError: if the angle limits cross, or the blocks do not fit the horizon.
     """
 
-    def __init__(
-        self,
-        weights: WeightsSettings,
-        limits: CommandLimits,
-        horizon: int,
-        dt: float,
-        blocks: tuple[int, ...] | None = None,
-    ) -> None:
-        blocking = MoveBlocking(blocks or (1,) * horizon, horizon)
-        self._law = law_over(weights, horizon, limits, dt, blocks)
-        self._matrix = None if blocks is None else blocking.matrix
-        self._horizon, self._count, soft = horizon, len(blocking.lengths), weights.limits_angle
-        # of each sample the command, then the angle; a move before the first command of its block, or else behind it
-        self._moves = blocking.starts * (1 + soft) + np.arange(self._count) + (blocks is None)
-        self._touching = 1e-6 * limits.rate * dt * np.array(blocking.lengths)
-        self._rows = horizon + self._count + (horizon if soft else 0)
+    def __init__(self, law: Struct) -> None:
+        self._law, self._axes, horizon = law, list(_axes_of(law)), law.fields["horizon"]
+        self._rows = self._count = 0
+        tasks: PlanningTask | None = None
+        moves: list[NDArray[np.intp]] = []  # rows: of each sample the command, then the angle; first the block's move
         rest = np.zeros(horizon)
-        task = PlanningTask(0.0, rest, rest, (0.0, 0.0))
-        free = self.data(task, rest, rest, np.tril(np.ones((horizon, horizon))))
+        for axis in self._axes:
+            tasks = PlanningTask(0.0, rest, rest, (0.0, 0.0), tasks)
+            soft = horizon if axis["soft"] and "tracking" in axis else 0
+            if axis["moves"]:
+                moves.append(self._rows + axis["starts"] * (1 + bool(soft)) + np.arange(axis["moves"]))
+                self._rows += horizon + axis["moves"]
+                self._count += axis["moves"]
+            self._rows += soft
+        self._inputs = len(moves)
+        self._moves = np.concatenate(moves)
+        self._touching = np.concatenate(
+            [1e-6 * a["reach"] * (a["ends"] + 1 - a["starts"]) for a in self._axes[: self._inputs]]
+        )
+        angles = np.zeros((sum("tracking" in axis for axis in self._axes), horizon))
+        plan = np.zeros((self._inputs, horizon))
+        slopes = np.broadcast_to(np.tri(horizon)[:, None], (len(angles), horizon, self._inputs, horizon))
+        assert tasks is not None
+        free = self.data(tasks, plan, angles, slopes)
         self.pattern = QpPattern(free.columns != 0.0, free.soft > 0.0)
 
     def data(self, task: PlanningTask, commands: Vec, angles: Vec, jacobian: Mat) -> QpData:
         """Return the program around a plan.
 
         Args:
-            commands, angles: of the plan (H,).
-            jacobian: of the angles (H, H), lower triangular [deg per command unit].
+            commands, angles: of the plan (H,), or (nu, H) and (ny, H).
+            jacobian: of the angles (H, H) or (ny, H, nu, H), zero where the command is later [deg per command unit].
         """
         count, rows = self._count, self._rows
         hessian, gradient, by_column, bounds = (np.empty(s) for s in ((count, count), count, (count, rows), (3, rows)))
@@ -109,15 +115,20 @@ class PlanProgram:
         return QpData(hessian, gradient, by_column, lower, upper, soft, self._multipliers(gradient, lower, upper))
 
     def deviation(self, primal: Vec) -> Vec:
-        """Return the deviation of the commands from the plan (H,) in a solution z = `primal` (m,)."""
-        return primal if self._matrix is None else self._matrix @ primal
+        """Return the deviation of the commands from the plan (H,) or (nu H,) in a solution z = `primal` (m,)."""
+        parts = zip(self._axes, self._by_input(primal), strict=False)
+        return np.concatenate([axis["blocking"] @ w if "blocking" in axis else w for axis, w in parts])
 
     def after(self, task: PlanningTask, commands: Vec, angles: Vec, jacobian: Mat, primal: Vec) -> Vec:
-        """Return the admissible plan after the solution z = `primal`, with its foreseen cost (H + 1,)."""
-        out = np.empty(self._horizon + 1)
+        """Return the admissible plan after the solution z = `primal`, with its foreseen cost (nu H + 1,)."""
+        out = np.empty(commands.size + 1)
         known = self._law.address, task.part.address, np.ascontiguousarray(jacobian), commands, angles
         engine().plan_after(*known, np.ascontiguousarray(primal), self._room(), out)
         return out
+
+    def _by_input(self, unknowns: Vec) -> list[Vec]:
+        """Numbers of all unknowns (m,), those of each command apart."""
+        return np.split(unknowns, np.cumsum([axis["moves"] for axis in self._axes[: self._inputs]])[:-1])
 
     def _room(self) -> Vec:
         return np.empty(engine().law_bytes(self._law.address), dtype=np.uint8)
@@ -129,7 +140,8 @@ class PlanProgram:
         touched. First-order methods take thousands of iterations to find these, and the best candidates of a reversal
         touch the limit over many samples.
         """
-        dual, balance = np.zeros(lower.size), -np.cumsum(gradient[::-1])[::-1]
+        dual = np.zeros(lower.size)
+        balance = np.concatenate([-np.cumsum(part[::-1])[::-1] for part in self._by_input(gradient)])
         fast, slow = upper[self._moves] <= self._touching, lower[self._moves] >= -self._touching
         held = np.where(fast, np.maximum(balance, 0.0), np.where(slow, np.minimum(balance, 0.0), 0.0))
         dual[self._moves] = held
@@ -153,7 +165,7 @@ class IterativeSolution:
         blocks: tuple[int, ...] | None,
         options: OsqpOptions,
     ) -> None:
-        self._program = PlanProgram(weights, limits, horizon, dt, blocks)
+        self._program = PlanProgram(law_over(weights, horizon, limits, dt, blocks))
         self._solver = options.solver(self._program.pattern)
         self._horizon, self._local = horizon, local()
 
@@ -189,3 +201,10 @@ class IterativeSolution:
 _NO_JACOBIAN, _NO_PROGRAM, _NO_ANSWER, _NOT_FINITE = (
     constants()[f"HYSTMPC_{name}"] for name in ("NO_JACOBIAN", "NO_PROGRAM", "NO_ANSWER", "QP_NOT_FINITE")
 )
+
+
+def _axes_of(law: Struct | None) -> Iterator[Mapping[str, Any]]:
+    """Fields of the law of each axis."""
+    while law is not None:
+        yield law.fields
+        law = law.fields.get("next")

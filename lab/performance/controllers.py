@@ -12,6 +12,7 @@ import numpy as np
 from hystmpc.core.library import engine
 from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.guarded import GuardedController
+from hystmpc.ctrl.law_tables import law_over
 from hystmpc.ctrl.linearised.program import PlanningTask, PlanProgram
 from hystmpc.ctrl.linearised.qp import OsqpOptions, OsqpSolver, QpData
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings, WeightsSettings
@@ -139,7 +140,7 @@ def recorded_programs(
 ) -> tuple[PlanProgram, list[QpData]]:
     """Family of quadratic programs with these weights, and those of one scan."""
     limits, dt = subject.limits, subject.metadata.dt_s
-    around = PlanProgram(weights, limits, settings.horizon, dt)
+    around = PlanProgram(law_over(weights, settings.horizon, limits, dt))
     instants = record_scan(linearised_controller(subject, settings), subject)
     programs, still = [], np.zeros(settings.horizon)
     for before, now in pairwise(instants):

@@ -128,10 +128,10 @@ def test_a_chain_has_the_same_numbers_with_every_size_of_a_block(folder: Path, b
         use.chain_differentiate(code.code, kept, rows, first, u, None, p, seeds, states, m, y, dy, memory)
         rolled = np.empty((rows, 300))
         memory = np.empty(use.chain_bytes(code.code, rows, 0), np.uint8)
-        use.chain_roll_out(code.code, kept, x, rows, 300, u, rolled, memory)
+        use.chain_roll_out(code.code, kept, x, rows, 300, u, None, rolled, memory)
         angles, jacobian = np.empty(40), np.empty((40, 40))
         memory = np.empty(use.chain_linearise_bytes(code.code, 40), np.uint8)
-        use.chain_linearise(code.code, kept, x, u[0, :40].copy(), 40, angles, jacobian, memory)
+        use.chain_linearise(code.code, kept, x, u[0, :40].copy(), None, 40, angles, jacobian, memory)
         found.append((y, dy, rolled, angles, jacobian))
     for one, other in zip(*found, strict=True):
         np.testing.assert_array_equal(one, other)

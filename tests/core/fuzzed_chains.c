@@ -13,7 +13,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { MOST_KEPT = 20000, LONGEST = 1 << 15, MOST_BYTES = 1 << 24, HEAD = 7, STAGE = 9 };
+enum { MOST_KEPT = 20000, LONGEST = 1 << 15, MOST_BYTES = 1 << 24, HEAD = 8, STAGE = 9 };
 
 /* No chain here runs beside a network. */
 int hystmpc_network_state(const hystmpc_network *network) { return network ? exit(4), 0 : 0; }
@@ -170,27 +170,36 @@ static void differentiate(const int *c, const double *kept, int runs, int sample
     free(u), free(du), free(at), free(x), free(m), free(y), free(dy), free(memory);
 }
 
-/* What has one input and one output: plans, slopes, one sample, inverses. */
+/* Plans and their slopes; scheduled inputs are known or not. */
+static void run_plans(const int *c, const double *kept, int samples) {
+    const long h = samples, nu = c[5] - c[7], ny = c[6];
+    const long sizes[] = {hystmpc_chain_bytes(c, 5, 0), hystmpc_chain_linearise_bytes(c, samples)};
+    if (!fits(sizes[0]) || !fits(sizes[1]) || !fits(8 * 5 * h * (nu + ny)) || !fits(8 * ny * h * nu * h)) return;
+    double *x = any_numbers(c[1]), *plans = any_numbers(5 * nu * h), *known = below(3) ? any_numbers(c[7] * h) : NULL;
+    double *y = rooms(5 * ny * h), *dy = rooms(ny * h * nu * h);
+    char *memory = room_of((size_t)sizes[0]);
+    hystmpc_chain_roll_out(c, kept, x, 5, samples, plans, known, y, memory);
+    free(memory), memory = room_of((size_t)sizes[1]);
+    hystmpc_chain_linearise(c, kept, x, plans, known, samples, y, dy, memory);
+    free(x), free(plans), free(known), free(y), free(dy), free(memory);
+}
+
+/* What has one input and one output: one sample, inverses. */
 static void run_axis(const int *c, const double *kept, int samples) {
-    const long h = samples, sizes[] = {hystmpc_chain_bytes(c, 5, 0), hystmpc_chain_linearise_bytes(c, samples),
-                                       hystmpc_chain_single_bytes(c), hystmpc_follow_bytes(c, NULL),
+    const long h = samples, sizes[] = {hystmpc_chain_single_bytes(c), hystmpc_follow_bytes(c, NULL),
                                        hystmpc_lead_drive_bytes(c, samples)};
     const double bounds[3] = {0.0, 6.0, any_number()}, inverted[2] = {-1.0, 7.0};
     for (unsigned k = 0; k < sizeof sizes / sizeof *sizes; k++)
         if (!fits(sizes[k])) return;
-    double *x = any_numbers(c[1]), *plans = any_numbers(5 * h), *y = rooms(5 * h), *dy = rooms(h * h);
+    double *x = any_numbers(c[1]), *plans = any_numbers(h), *y = rooms(2 * h);
     char *memory = room_of((size_t)sizes[0]);
-    hystmpc_chain_roll_out(c, kept, x, 5, samples, plans, y, memory);
-    free(memory), memory = room_of((size_t)sizes[1]);
-    hystmpc_chain_linearise(c, kept, x, plans, samples, y, dy, memory);
-    free(memory), memory = room_of((size_t)sizes[2]);
     (void)hystmpc_chain_command_for(c, kept, x, any_number(), any_number(), any_number(), any_number(), memory);
     (void)hystmpc_chain_step(c, kept, x, any_number(), memory);
-    free(memory), memory = room_of((size_t)sizes[3]);
+    free(memory), memory = room_of((size_t)sizes[1]);
     hystmpc_follow(c, kept, NULL, x, plans, samples, any_number(), bounds, inverted, y, memory);
-    free(memory), memory = room_of((size_t)sizes[4]);
+    free(memory), memory = room_of((size_t)sizes[2]);
     (void)hystmpc_lead_drive(c, kept, x, plans, samples, any_number(), 0.1, y, y + h, memory);
-    free(x), free(plans), free(y), free(dy), free(memory);
+    free(x), free(plans), free(y), free(memory);
 }
 
 /* States at rest of every stage that has them. */
@@ -217,6 +226,7 @@ static int try_block(const block *b) {
         hystmpc_chain_prepare(c, own.numbers, parameters, 1, 0.01, kept, room);
         run_free(c, own.numbers, parameters, 1 + (int)below(5), 1 + (int)below(below(4) ? 12 : 300), (int)below(2));
         differentiate(c, kept, 1 + (int)below(7), (int)below(below(4) ? 12 : 300), 1 + (int)below(3));
+        run_plans(c, kept, 1 + (int)below(12));
         if (c[5] == 1 && c[6] == 1) run_axis(c, kept, 1 + (int)below(12));
         run_rest(c, own.numbers);
         free(parameters), free(kept), free(room);

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import null_space
 
-from hystmpc.ctrl.law_tables import MoveBlocking
+from hystmpc.ctrl.law_tables import MoveBlocking, law_over
 from hystmpc.ctrl.linearised.program import PlanProgram
 from hystmpc.ctrl.linearised.qp import OsqpOptions, OsqpSolver, QpData, QpPattern, QpSolution
 from hystmpc.ctrl.mpc_settings import WeightsSettings
@@ -30,7 +30,7 @@ lengths = st.lists(st.integers(1, 6), min_size=1, max_size=6).map(tuple)
 
 
 def blocked(weights: WeightsSettings, blocks: tuple[int, ...], horizon: int = H) -> PlanProgram:
-    return PlanProgram(weights, LIMITS, horizon, DT, blocks)
+    return PlanProgram(law_over(weights, horizon, LIMITS, DT, blocks))
 
 
 def data_of(program: PlanProgram, case: Case, seed: int, horizon: int = H) -> QpData:
@@ -70,7 +70,7 @@ def test_moves_are_even_within_a_block_and_zero_after_the_last(blocks: tuple[int
 def test_it_is_the_full_program_under_an_equality(
     case: Case, weights: WeightsSettings, blocks: tuple[int, ...]
 ) -> None:
-    few_moves, full = blocked(weights, blocks), PlanProgram(weights, LIMITS, H, DT)
+    few_moves, full = blocked(weights, blocks), PlanProgram(law_over(weights, H, LIMITS, DT))
     for seed in range(5):
         few = exact(data_of(few_moves, case, seed))
         many = under_equality(full, data_of(full, case, seed), MoveBlocking(blocks, H).matrix)
@@ -82,7 +82,7 @@ def test_it_is_the_full_program_under_an_equality(
 @pytest.mark.parametrize("weights", [HARD, SOFT], ids=["hard", "soft"])
 @pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
 def test_blocks_of_one_sample_are_no_blocks(case: Case, weights: WeightsSettings) -> None:
-    programs = blocked(weights, (1,) * H), PlanProgram(weights, LIMITS, H, DT)
+    programs = blocked(weights, (1,) * H), PlanProgram(law_over(weights, H, LIMITS, DT))
     for seed in range(5):
         ours, theirs = (p.deviation(exact(data_of(p, case, seed)).primal) for p in programs)
         np.testing.assert_allclose(ours, theirs, atol=1e-9)

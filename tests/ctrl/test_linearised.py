@@ -10,6 +10,7 @@ import pytest
 from scipy.linalg import block_diag
 from scipy.optimize import LinearConstraint, minimize
 
+from hystmpc.ctrl.law_tables import law_over
 from hystmpc.ctrl.linearised.program import PlanProgram
 from hystmpc.ctrl.linearised.qp import OsqpOptions, OsqpSolver, QpData
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, WeightsSettings
@@ -44,7 +45,7 @@ def dense(data: QpData) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
 @pytest.mark.parametrize("seed", range(5))
 def test_solution_is_that_of_a_dense_reference(weights: WeightsSettings, case: Case, seed: int) -> None:
-    program = PlanProgram(weights, LIMITS, H, DT)
+    program = PlanProgram(law_over(weights, H, LIMITS, DT))
     data = posed(case, H, seed).program(program, case.predictor)
     p, q, a = dense(data)
     solution = OsqpSolver(program.pattern, OsqpOptions(eps=1e-8, iterations=20_000)).solve(data)
@@ -62,7 +63,7 @@ def test_solution_is_that_of_a_dense_reference(weights: WeightsSettings, case: C
 
 def test_program_is_the_planning_cost_where_the_model_is_linear() -> None:
     problem, predictor = posed(LINEAR, H), LINEAR.predictor
-    data = problem.program(PlanProgram(HARD, LIMITS, H, DT), predictor)
+    data = problem.program(PlanProgram(law_over(HARD, H, LIMITS, DT)), predictor)
     p, _, _ = dense(data)
     before = problem.cost(HARD, problem.commands, problem.angles)
     for v in np.random.default_rng(1).normal(0, 0.2, (10, H)):
@@ -100,7 +101,7 @@ def test_one_iteration_is_optimal_where_the_model_is_linear(options: OsqpOptions
 
 
 def test_equal_data_give_equal_answers_whatever_came_before() -> None:
-    program = PlanProgram(HARD, LIMITS, H, DT)
+    program = PlanProgram(law_over(HARD, H, LIMITS, DT))
     solver = OsqpSolver(program.pattern, OsqpOptions())
     data = [posed(PLAY, H, seed).program(program, PLAY.predictor) for seed in range(4)]
     first = [solver.solve(d).primal for d in data]
@@ -109,7 +110,7 @@ def test_equal_data_give_equal_answers_whatever_came_before() -> None:
 
 
 def test_solver_that_failed_is_rebuilt() -> None:
-    program = PlanProgram(HARD, LIMITS, H, DT)
+    program = PlanProgram(law_over(HARD, H, LIMITS, DT))
     solver, data = OsqpSolver(program.pattern, OsqpOptions()), posed(PLAY, H).program(program, PLAY.predictor)
     good = solver.solve(data)
     bad = solver.solve(replace(data, lower=data.lower + 10.0, upper=data.lower + 10.0))
@@ -121,7 +122,7 @@ def test_rate_multipliers_are_exact_where_every_move_is_at_the_limit() -> None:
     problem = posed(LINEAR, H)
     ramp = problem.task.u_last + LIMITS.rate * DT * np.arange(1, H + 1)
     far = replace(problem, task=replace(problem.task, reference=np.full(H, 200.0), feedforward=ramp))
-    program = PlanProgram(HARD, LIMITS, H, DT)
+    program = PlanProgram(law_over(HARD, H, LIMITS, DT))
     data = far.at(Lag(), ramp).program(program, Lag())
     _, _, a = dense(data)
     np.testing.assert_allclose(a.T @ data.dual, -data.gradient, rtol=1e-9)
@@ -142,4 +143,4 @@ def test_impossible_weights_are_refused(change: dict[str, Any]) -> None:
 
 def test_angle_limits_that_cross_are_refused() -> None:
     with pytest.raises(ControllerError, match=r"weights: got angle_limits_deg 3\.0 to 2\.0"):
-        PlanProgram(WeightsSettings(angle_lower_deg=3.0, angle_upper_deg=2.0), LIMITS, H, DT)
+        PlanProgram(law_over(WeightsSettings(angle_lower_deg=3.0, angle_upper_deg=2.0), H, LIMITS, DT))

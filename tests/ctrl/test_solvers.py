@@ -12,6 +12,7 @@ import pytest
 from hystmpc.ctrl import problem
 from hystmpc.ctrl.command import CommandLimits, Source, attempt
 from hystmpc.ctrl.guarded import GuardedController
+from hystmpc.ctrl.law_tables import law_over
 from hystmpc.ctrl.linearised.program import IterativeSolution, PlanProgram
 from hystmpc.ctrl.linearised.qp import OsqpOptions, OsqpSolver, QpData, QpPattern, QpSolution
 from hystmpc.ctrl.mpc_settings import HoldSettings, LinearisedMpcSettings, WeightsSettings
@@ -32,7 +33,7 @@ DEVICE = CommandLimits(0.0, 6.0, 12.0)
 
 
 def program(case: Case, weights: WeightsSettings, seed: int, horizon: int = H) -> tuple[QpPattern, QpData]:
-    around = PlanProgram(weights, LIMITS, horizon, DT)
+    around = PlanProgram(law_over(weights, horizon, LIMITS, DT))
     return around.pattern, posed(case, horizon, seed).program(around, case.predictor)
 
 
