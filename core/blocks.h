@@ -53,6 +53,14 @@ HYSTMPC_LOCAL void hystmpc_chain_run_stage(const chain_stage *s, int g, int samp
 /* The last column of the states becomes the first one. */
 HYSTMPC_LOCAL void hystmpc_chain_go_on(const chain_stage *s, int g, int samples);
 
+/* Whether all scheduled inputs (ns, H) of a preview are finite numbers. Where one is not, no output may be trusted, and
+ * none is a number: a play would take a command that is not a number for none, and show a finite angle. */
+static inline int chain_knows(const int *chain, const real *known, int samples) {
+    for (int i = 0; i < chain[7] * samples; i++)
+        if (!known || !is_finite(known[i])) return 0;
+    return 1;
+}
+
 static inline int smaller(int a, int b) { return a < b ? a : b; }
 
 #endif

@@ -111,8 +111,7 @@ void hystmpc_chain_go_on(const chain_stage *s, int g, int samples) {
 static void chain_schedule(const chain_run *r, const real *known, int samples, int t0, int now) {
     for (int j = r->commands; j < r->inputs; j++)
         for (int i = 0; i < now * r->abreast; i++)
-            r->signal[j * CHAIN_STRIDE + i] =
-                known ? known[(j - r->commands) * samples + t0 + i / r->abreast] : (real)NAN;
+            r->signal[j * CHAIN_STRIDE + i] = known[(j - r->commands) * samples + t0 + i / r->abreast];
 }
 
 /* Rows n0 ... n0 + count - 1 of hystmpc_chain_simulate; the first `given` inputs are in u, the others in `known`. */
@@ -172,6 +171,10 @@ void hystmpc_chain_roll_out(const int *chain, const real *kept, const real *x, i
                             const real *known, real *y, char *memory) {
     const int commands = chain[5] - chain[7], by_state[2] = {1, 0};
     const int by_plan[3] = {samples, 1, commands * samples}, by_angle[3] = {samples, 1, chain[6] * samples};
+    if (!chain_knows(chain, known, samples)) {
+        for (int i = 0; i < rows * chain[6] * samples; i++) y[i] = (real)NAN;
+        return;
+    }
     chain_simulate_given(chain, kept, 1, rows, samples, commands, plans, by_plan, known, (real *)x, by_state, 0, y,
                          by_angle, memory);
 }

@@ -46,7 +46,7 @@ HYSTMPC_API void hystmpc_chain_differentiate(const int *chain, const real *kept,
                                              const real *x, const real *m, real *y, real *dy, char *memory);
 
 /* Outputs y (ny, H) along one plan (nu, H) and their derivatives dy (ny, H, nu, H) by its commands. `known` (ns, H): the
- * scheduled inputs; null: unknown, so that nothing finite depends on them. */
+ * scheduled inputs. Where one is not a finite number, or they are left out (null), no result is a number. */
 HYSTMPC_API void hystmpc_chain_linearise(const int *chain, const real *kept, const real *x, const real *plan,
                                          const real *known, int samples, real *y, real *dy, char *memory);
 HYSTMPC_API long hystmpc_chain_linearise_bytes(const int *chain, int samples);

@@ -204,9 +204,7 @@ class ChainCode:
             seeds.shape[1], seeds, x, m, room
         )  # fmt: skip
 
-    def linearise(
-        self, kept: Array, state: Array, plan: Array, known: Array | None = None
-    ) -> tuple[Array, Array]:
+    def linearise(self, kept: Array, state: Array, plan: Array, known: Array | None = None) -> tuple[Array, Array]:
         """Outputs (H,) along one plan (H,), with scheduled inputs (H,), and their derivatives (H, H) by its commands.
 
         Several: outputs (ny, H), plan (nu, H), scheduled inputs (ns, H), derivatives (ny, H, nu, H).

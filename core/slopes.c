@@ -260,9 +260,14 @@ void hystmpc_chain_linearise(const int *chain, const real *kept, const real *x, 
     const int first[2] = {0, samples}, inputs = chain[5] * samples, directions = inputs - chain[7] * samples;
     chain_run r;
     real *at = (real *)(memory + hystmpc_chain_lay_out(&r, chain, 1, directions, memory));
+    if (!chain_knows(chain, known, samples)) {
+        for (int i = 0; i < chain[6] * samples; i++) y[i] = (real)NAN;
+        for (int i = 0; i < chain[6] * samples * directions; i++) dy[i] = (real)NAN;
+        return;
+    }
     real *const u = at, *const du = u + inputs, *const m = du + inputs * directions;
     real *const seeds = m + r.states * directions;
-    for (int i = 0; i < inputs; i++) u[i] = i < directions ? plan[i] : known ? known[i - directions] : (real)NAN;
+    for (int i = 0; i < inputs; i++) u[i] = i < directions ? plan[i] : known[i - directions];
     for (int i = 0; i < inputs * directions; i++) du[i] = i % directions == i / directions ? R(1.0) : R(0.0);
     for (int i = 0; i < (r.states + chain[2]) * directions; i++) m[i] = R(0.0);
     const group_of_runs c = {.first = first, .count = 1, .runs = 1, .samples = samples, .u = u, .du = du,

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,6 +20,9 @@ from .types import Vec
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+
+MOST_AXES = 6
+"""Most commands, angles, and measured inputs of a device."""
 
 _LONGEST_SOURCE = 100  # characters of a path in a line
 
@@ -48,42 +51,68 @@ class Units:
         return "" if unit == "1" else re.sub(r"\b(cmd|deg)\b", lambda match: names[match[0]], unit)
 
 
+@final
+class AxisSignal:
+    """Commands or angles of a trial: (T,) for one axis, (T, n) for several.
+
+    Whoever reads `trial.command` or `trial.angle` works with one axis. A trial of several is refused here, in one line
+    and in one place; `Trial.commands` and `Trial.angles` are for those who take any number.
+    """
+
+    def __set_name__(self, owner: type[Trial], name: str) -> None:
+        self._name = name
+
+    def __get__(self, trial: Trial | None, owner: type[Trial]) -> Vec:
+        if trial is None:
+            raise AttributeError(self._name)  # a field without a default
+        values: Vec = vars(trial)[self._name]
+        if values.ndim > 1:
+            n, m = trial.commands.shape[1], trial.angles.shape[1]
+            raise LogError(f"{trial.source}: a trial of {n} commands and {m} angles, expected one of each here")
+        return values
+
+    def __set__(self, trial: Trial, values: ArrayLike) -> None:
+        vars(trial)[self._name] = values
+
+
 @dataclass(frozen=True, eq=False)  # arrays have no single truth value: trials are compared by identity
 class Trial:
-    """Time, command and tip angle of one uninterrupted recording.
+    """Time, command and tip angle of one uninterrupted recording; of several axes too.
 
     Attributes:
         t: time since the start of the recording [s], shape (T,), strictly increasing.
-        command: tendon travel [mm] or pressure [bar], shape (T,).
-        angle: tip angle [deg], shape (T,).
+        command: tendon travel [mm] or pressure [bar], shape (T,). Several commands (T, nu) are read as `commands`.
+        angle: tip angle [deg], shape (T,). Several angles (T, ny) are read as `angles`.
         channels: further named signals, each of shape (T,), in the units of the log; may hold not-a-number.
         source: origin of the trial (a file's path), for messages and reports.
         command_noise: standard deviation of the noise that was taken off the recorded command, in its unit; 0 for none.
+        inputs: measured inputs by name, such as a pressure, each of shape (T,).
 
     Raises:
-        LogError: if shapes differ, fewer than two samples are given, a value is not finite, or time does not
-            increase.
+        LogError: if shapes differ, fewer than two samples are given, a value is not finite, time does not increase, or
+            there are more than six commands, angles or inputs. `command` and `angle`, on a trial of several.
     """
 
     t: Vec
-    command: Vec
-    angle: Vec
+    command: AxisSignal = AxisSignal()
+    angle: AxisSignal = AxisSignal()
     channels: Mapping[str, Vec] = field(default_factory=dict)
     units: Units = field(default_factory=Units)
     source: str = "<memory>"
     command_noise: float = 0.0
+    inputs: Mapping[str, Vec] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        given = vars(self)
         for name in ("t", "command", "angle"):
-            vector = _vector(getattr(self, name), name, self.source)
-            bad = np.flatnonzero(~np.isfinite(vector))
-            if bad.size:
-                got = f"{name} is {vector[bad[0]]} at sample {bad[0]}"
-                raise LogError(f"{self.source}: {got}, expected finite values ({bad.size} such)")
-            object.__setattr__(self, name, vector)
+            given[name] = _finite(_vector(given[name], name, self.source, name != "t"), name, self.source)
+        inputs = {k: _finite(_vector(v, k, self.source), k, self.source) for k, v in self.inputs.items()}
+        if len(inputs) > MOST_AXES:
+            raise LogError(f"{self.source}: {len(inputs)} inputs, expected at most {MOST_AXES}")
         channels = {k: _vector(v, k, self.source) for k, v in self.channels.items()}
-        object.__setattr__(self, "channels", MappingProxyType(channels))
-        sizes = {"command": self.command.size, "angle": self.angle.size} | {k: v.size for k, v in channels.items()}
+        given |= {"channels": MappingProxyType(channels), "inputs": MappingProxyType(inputs)}
+        signals = {name: given[name] for name in ("command", "angle")} | channels | inputs
+        sizes = {name: len(values) for name, values in signals.items()}
         wrong = [f"{k} has {n}" for k, n in sizes.items() if n != self.t.size]
         if wrong:
             raise LogError(f"{self.source}: {', '.join(wrong)} samples, expected {self.t.size} as in time")
@@ -107,8 +136,18 @@ class Trial:
 
     def __reduce__(self) -> tuple[type[Trial], tuple[object, ...]]:
         # A mapping proxy cannot be pickled, and trials are sent to worker processes.
-        signals = self.t, self.command, self.angle, dict(self.channels)
-        return Trial, (*signals, self.units, self.source, self.command_noise)
+        signals = self.t, vars(self)["command"], vars(self)["angle"], dict(self.channels)
+        return Trial, (*signals, self.units, self.source, self.command_noise, dict(self.inputs))
+
+    @property
+    def commands(self) -> Vec:
+        """All commands (T, nu), of one axis or several."""
+        return _by_axis(vars(self)["command"])
+
+    @property
+    def angles(self) -> Vec:
+        """All angles (T, ny) [deg], of one axis or several."""
+        return _by_axis(vars(self)["angle"])
 
     @property
     def inverted(self) -> bool:
@@ -132,9 +171,14 @@ class Trial:
 
     def select(self, start: int, stop: int | None = None) -> Trial:
         """Return samples start to stop (exclusive) as a separate trial with the same time origin."""
-        part = slice(start, stop)
-        channels = {name: values[part] for name, values in self.channels.items()}
-        return replace(self, t=self.t[part], command=self.command[part], angle=self.angle[part], channels=channels)
+        return self.with_signals(lambda values: values[start:stop])
+
+    def with_signals(self, change: Callable[[Vec], Vec], **fields: Any) -> Trial:
+        """Return the trial with `change` applied to time and every signal (T,), or (T, n), and with other fields."""
+        signals = {name: change(vars(self)[name]) for name in ("t", "command", "angle")}
+        mappings = {"channels": self.channels, "inputs": self.inputs}
+        changed = {key: {name: change(v) for name, v in given.items()} for key, given in mappings.items()}
+        return replace(self, **{**signals, **changed, **fields})
 
     def plot(self) -> Figure:
         """Draw angle and command over time, and the angle over the command: the hysteresis loop."""
@@ -166,12 +210,28 @@ class Trial:
         return Report(f"Trial {self.source}", (KeyValues(rows), Plot(self.plot()))).fragment()
 
 
-def _vector(values: ArrayLike, name: str, source: str) -> Vec:
+def _vector(values: ArrayLike, name: str, source: str, by_axis: bool = False) -> Vec:
+    """Values (T,), or (T, n) of n > 1 axes where that is allowed."""
     vector = np.array(values, dtype=np.float64)
-    if vector.ndim != 1:
-        raise LogError(f"{source}: {name} has shape {vector.shape}, expected one dimension (T,)")
+    if by_axis and vector.ndim == 2 and 1 <= vector.shape[1] <= MOST_AXES:
+        vector = vector[:, 0].copy() if vector.shape[1] == 1 else vector
+    elif vector.ndim != 1:
+        several = f", or (T, n) of at most {MOST_AXES} axes" if by_axis else ""
+        raise LogError(f"{source}: {name} has shape {vector.shape}, expected one dimension (T,){several}")
     vector.setflags(write=False)
     return vector
+
+
+def _finite(values: Vec, name: str, source: str) -> Vec:
+    bad = np.argwhere(~np.isfinite(values))
+    if len(bad):
+        got = f"{name} is {values[tuple(bad[0])]} at sample {bad[0][0]}"
+        raise LogError(f"{source}: {got}, expected finite values ({len(bad)} such)")
+    return values
+
+
+def _by_axis(values: Vec) -> Vec:
+    return values.reshape(len(values), -1)
 
 
 def positive_rate(rate_hz: float) -> float:
@@ -240,7 +300,7 @@ def parts_at_gaps(trial: Trial) -> tuple[Trial, ...]:
     parts = [trial.select(edges[k], edges[k + 1]) for k in np.flatnonzero(kept).tolist()]
     if len(parts) == 1:
         return (parts[0],)
-    return tuple(replace(part, source=f"{trial.source} from {part.t[0]:.4g} s") for part in parts)
+    return tuple(part.with_signals(np.asarray, source=f"{trial.source} from {part.t[0]:.4g} s") for part in parts)
 
 
 def _widest_gap(trial: Trial, limit: float) -> str:
@@ -287,9 +347,7 @@ def resample(trial: Trial, rate_hz: float) -> Trial:
         raise SlowLogError(trial.source, log_hz, f"{rate_hz:g} Hz")
     count = math.floor(trial.duration_s * rate_hz + 1e-6) + 1
     t = trial.t[0] + np.arange(count) / rate_hz
-    command, angle = np.interp(t, trial.t, trial.command), np.interp(t, trial.t, trial.angle)
-    channels = {name: np.interp(t, trial.t, values) for name, values in trial.channels.items()}
-    return replace(trial, t=t, command=command, angle=angle, channels=channels)
+    return trial.with_signals(lambda values: np.apply_along_axis(lambda v: np.interp(t, trial.t, v), 0, values), t=t)
 
 
 def require_uniform(trial: Trial) -> float:

@@ -60,15 +60,15 @@ def to_casadi(graph: onnx.GraphProto, name: str = "model") -> ca.Function:
     operand at a tie; Relu has derivative zero at zero.
 
     Returns:
-        `casadi.Function`: state (S, 1), u (1, 1) -> theta (1, 1), next_state (S, 1), in double.
+        `casadi.Function`: state (S, 1), u (nu, 1) -> theta (ny, 1), next_state (S, 1), in double.
 
     Raises:
         ModelError: on an operator that is not on the list, or a node that cannot be translated; names the node.
     """
     check_operators(graph, name)
     size = {value.name: value.type.tensor_type.shape.dim[1].dim_value for value in graph.input}
-    state, u = ca.MX.sym("state", size["state"]), ca.MX.sym("u", 1)
-    tensors = {"state": Tensor(state, (1, size["state"])), "u": Tensor(u, (1, 1))}
+    state, u = (ca.MX.sym(key, size[key]) for key in ("state", "u"))
+    tensors = {key: Tensor(given, (1, size[key])) for key, given in (("state", state), ("u", u))}
     tensors |= {weight.name: _constant(onnx.numpy_helper.to_array(weight)) for weight in graph.initializer}
     for index, node in enumerate(graph.node):
         try:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn, final, get_args
+from typing import TYPE_CHECKING, NoReturn, final, get_args
 
 import numpy as np
 import onnx
@@ -17,6 +18,7 @@ from google.protobuf.message import DecodeError  # type: ignore[import-untyped] 
 from numpy.typing import NDArray
 
 from hystmpc.trials.errors import ModelError
+from hystmpc.trials.trial import MOST_AXES
 from hystmpc.trials.types import Vec
 
 from ..model import LoadedModel
@@ -57,8 +59,34 @@ def parse_model(content: bytes, where: str) -> onnx.ModelProto:
     return proto
 
 
-def check_graph(proto: onnx.ModelProto, state_size: int, where: str) -> np.dtype[np.generic]:
-    """Check operators, inputs, outputs and weights against the contract, and return the number type.
+@dataclass(frozen=True)
+class GraphSizes:
+    """Number type and sizes of a step graph: u [N, inputs], state [N, states], theta [N, outputs].
+
+    Attributes:
+        inputs: commands, and behind them inputs that are measured.
+    """
+
+    dtype: np.dtype[np.generic]
+    states: int
+    inputs: int = 1
+    outputs: int = 1
+
+    def require_one_axis(self, where: str) -> None:
+        """Refuse a graph of several commands or angles, or with measured inputs.
+
+        Raises:
+            ModelError: one line.
+        """
+        if (self.inputs, self.outputs) != (1, 1):
+            raise ModelError(
+                f"{where}: has {self.inputs} inputs and {self.outputs} outputs, expected one command and one angle; "
+                "models of several axes are not opened by this version of hystmpc"
+            )
+
+
+def check_graph(proto: onnx.ModelProto, state_size: int, where: str) -> GraphSizes:
+    """Check operators, inputs, outputs and weights against the contract, and return number type and sizes.
 
     Raises:
         ModelError: one line on the first difference.
@@ -69,28 +97,36 @@ def check_graph(proto: onnx.ModelProto, state_size: int, where: str) -> np.dtype
             f"{where}: operator sets {opsets} and {len(proto.functions)} functions, expected {{'': {OPSET}}} and none"
         )
     check_operators(proto.graph, where)
-    dtype = _check_interface(proto.graph, state_size, where)
+    sizes = _check_interface(proto.graph, state_size, where)
     _check_weights(proto.graph, where)
     try:
         onnx.checker.check_model(proto, full_check=True)
     except (onnx.checker.ValidationError, onnx.shape_inference.InferenceError, UnicodeDecodeError) as error:
         raise ModelError(f"{where}: not a valid ONNX graph: {' '.join(str(error).split())}") from None
-    return dtype
+    return sizes
 
 
-def _check_interface(graph: onnx.GraphProto, state_size: int, where: str) -> np.dtype[np.generic]:
-    """Check names and shapes of the four tensors, and return their common number type."""
+def _check_interface(graph: onnx.GraphProto, state_size: int, where: str) -> GraphSizes:
+    """Check names and shapes of the four tensors, and return their common number type and sizes."""
     weights = {weight.name for weight in graph.initializer}
     inputs = [value for value in graph.input if value.name not in weights]
     first = inputs[0].type.tensor_type.elem_type if inputs else onnx.TensorProto.FLOAT
     dtype = _TYPES.get(first, np.dtype(np.float32))
-    sizes = {"u": 1, "state": state_size}, {"theta": 1, "next_state": state_size}
-    for kind, values, expected in zip(("inputs", "outputs"), (inputs, graph.output), sizes, strict=True):
+    sizes = GraphSizes(dtype, state_size, _width(inputs, "u", 2 * MOST_AXES), _width(graph.output, "theta", MOST_AXES))
+    tensors = {"u": sizes.inputs, "state": state_size}, {"theta": sizes.outputs, "next_state": state_size}
+    for kind, values, expected in zip(("inputs", "outputs"), (inputs, graph.output), tensors, strict=True):
         got = sorted(_signature(value) for value in values)
         wanted = sorted(f"{name!r} {dtype.name} [N,{size}]" for name, size in expected.items())
         if got != wanted:
             raise ModelError(f"{where}: {kind} are {', '.join(got) or 'none'}, expected {', '.join(wanted)}")
-    return dtype
+    return sizes
+
+
+def _width(values: Iterable[onnx.ValueInfoProto], name: str, most: int) -> int:
+    """Second size of the tensor of a name, where it is one to `most`; else one, which the check then expects."""
+    shapes = [value.type.tensor_type.shape.dim for value in values if value.name == name]
+    width = shapes[0][1].dim_value if len(shapes) == 1 and len(shapes[0]) == 2 else 1
+    return width if 1 <= width <= most else 1
 
 
 def _signature(value: onnx.ValueInfoProto) -> str:
@@ -144,7 +180,9 @@ class OnnxModel(LoadedModel):
         # Protobuf returns damaged text as bytes; as str it is neither a known key nor JSON.
         properties = {str(entry.key): str(entry.value) for entry in proto.metadata_props}
         super().__init__(ModelMetadata.from_properties(properties, source), start)
-        self.dtype = check_graph(proto, self.state_size, source)
+        sizes = check_graph(proto, self.state_size, source)
+        sizes.require_one_axis(source)
+        self.dtype = sizes.dtype
         self.graph: onnx.GraphProto = proto.graph
         self.initializers: Mapping[str, NDArray[np.generic]] = {
             weight.name: onnx.numpy_helper.to_array(weight) for weight in proto.graph.initializer
@@ -152,7 +190,7 @@ class OnnxModel(LoadedModel):
         self.hash: str = hashlib.sha256(content).hexdigest()
         self.source = source
         self.start: Start = start
-        self._run = open_session(content, self.state_size, self.dtype, source).run
+        self._run = open_session(content, sizes, source).run
 
     @property
     def simulator(self) -> NoReturn:
@@ -219,7 +257,7 @@ _SILENT = 3  # errors only
 _WARM_UP = (1, 2, 1)  # batch sizes; the second differs so that a frozen batch axis shows
 
 
-def open_session(content: bytes, state_size: int, dtype: np.dtype[np.generic], where: str) -> ort.InferenceSession:
+def open_session(content: bytes, sizes: GraphSizes, where: str) -> ort.InferenceSession:
     """Open a step graph and run it a few times, so that the first step in a loop is not slower than the others.
 
     Raises:
@@ -233,18 +271,20 @@ def open_session(content: bytes, state_size: int, dtype: np.dtype[np.generic], w
     try:
         session = ort.InferenceSession(content, options, providers=["CPUExecutionProvider"])
         for batch in _WARM_UP:
-            _check_batch(session, batch, state_size, dtype, where)
+            _check_batch(session, batch, sizes, where)
     except _ERRORS as error:
         text = " ".join(str(error).split())
         raise ModelError(f"{where}: onnxruntime refuses the graph: {text}") from None
     return session
 
 
-def _check_batch(session: ort.InferenceSession, batch: int, state_size: int, dtype: np.dtype[Any], where: str) -> None:
-    feed = {"u": np.zeros((batch, 1), dtype), "state": np.zeros((batch, state_size), dtype)}
+def _check_batch(session: ort.InferenceSession, batch: int, sizes: GraphSizes, where: str) -> None:
+    widths = {"u": sizes.inputs, "state": sizes.states, "theta": sizes.outputs, "next_state": sizes.states}
+    expected = {key: (batch, width) for key, width in widths.items()}
+    feed = {key: np.zeros(expected[key], sizes.dtype) for key in ("u", "state")}
     shapes = [np.asarray(result).shape for result in session.run(["theta", "next_state"], feed)]
-    if shapes != [(batch, 1), (batch, state_size)]:
+    if shapes != [expected["theta"], expected["next_state"]]:
         raise ModelError(
             f"{where}: a batch of {batch} gives theta {shapes[0]} and next_state {shapes[1]}, "
-            f"expected ({batch}, 1) and ({batch}, {state_size})"
+            f"expected {expected['theta']} and {expected['next_state']}"
         )

@@ -122,30 +122,42 @@ def operator_nodes(
 
 
 def step_graph(function: Any, name: str) -> onnx.GraphProto:
-    """Translate (state (S, 1), u) -> (theta, next state) into a graph (u [N,1], state [N,S]) -> (theta, next_state)."""
-    size = function.numel_in(0)
-    columns = [f"state_{i}" for i in range(size)]
-    if size > 1:
-        split = helper.make_node("Split", ["state"], columns, name="split_state", axis=1, num_outputs=size)
-    else:
-        split = helper.make_node("Identity", ["state"], columns, name="split_state")
-    program = operator_nodes(function, [columns, ["u"]])
-    (theta,), following = program.outputs
-    following, spread = as_columns(following, program.constants)
+    """Translate (state (S, 1), u (nu, 1)) -> (theta (ny, 1), next state) into a graph.
+
+    Its inputs are u [N,nu] and state [N,S], its outputs theta [N,ny] and next_state [N,S].
+    """
+    sizes = {"u": function.numel_in(1), "state": function.numel_in(0)}
+    splits, (commands, columns) = [], ([f"{key}_{i}" for i in range(size)] for key, size in sizes.items())
+    for key, parts in (("state", columns), ("u", commands)):
+        if len(parts) > 1:
+            splits.append(helper.make_node("Split", [key], parts, name=f"split_{key}", axis=1, num_outputs=len(parts)))
+        elif key == "state":
+            splits.append(helper.make_node("Identity", [key], parts, name=f"split_{key}"))
+    commands = commands if len(commands) > 1 else ["u"]
+    program = operator_nodes(function, [columns, commands])
+    theta, following = program.outputs
+    shown, spread = as_columns([*theta, *following], program.constants, by=commands[0])
     last = [
         *spread,
-        helper.make_node("Identity", [theta], ["theta"], name="theta"),
-        helper.make_node("Concat", following, ["next_state"], name="next_state", axis=1),
+        _joined(shown[: len(theta)], "theta"),
+        helper.make_node("Concat", shown[len(theta) :], ["next_state"], name="next_state", axis=1),
     ]
     return helper.make_graph(
-        [split, *program.nodes, *last],
+        [*splits, *program.nodes, *last],
         name,
-        [tensor("u", 1), tensor("state", size)],
-        [tensor("theta", 1), tensor("next_state", size)],
+        [tensor(key, size) for key, size in sizes.items()],
+        [tensor("theta", len(theta)), tensor("next_state", len(following))],
         initializer=[
             numpy_helper.from_array(np.full((1, 1), value), name=label) for label, value in program.constants.items()
         ],
     )
+
+
+def _joined(columns: list[str], name: str) -> onnx.NodeProto:
+    """Tensor (N, n) of n columns."""
+    if len(columns) == 1:
+        return helper.make_node("Identity", columns, [name], name=name)
+    return helper.make_node("Concat", columns, [name], name=name, axis=1)
 
 
 def node(kind: str, inputs: str, outputs: str, **attributes: Any) -> onnx.NodeProto:
@@ -172,13 +184,13 @@ def graph_of_nodes(
 
 
 def as_columns(
-    names: list[str], constants: Mapping[str, float], prefix: str = ""
+    names: list[str], constants: Mapping[str, float], prefix: str = "", by: str = "u"
 ) -> tuple[list[str], list[onnx.NodeProto]]:
-    """Names with each constant (1, 1) expanded to a column (N, 1), and the nodes that expand them."""
+    """Names with each constant (1, 1) expanded to a column (N, 1) as `by` is, and the nodes that expand them."""
     nodes, spread = [], {name: f"{name}_column" for name in names if name in constants}
     each = f"{prefix}each_row"
     if spread:
-        nodes.append(helper.make_node("LessOrEqual", ["u", "u"], [each], name=each))
+        nodes.append(helper.make_node("LessOrEqual", [by, by], [each], name=each))
     for name, column in spread.items():
         nodes.append(helper.make_node("Where", [each, name, name], [column], name=column))
     return [spread.get(name, name) for name in names], nodes

@@ -19,7 +19,7 @@ from hystmpc.models.stages import chain_code, operator_program
 
 from ..models.zoo import CHAINS, EXAMPLES, RATE_PI, WITH_EFFECTS
 from ..sanitized import said_under_sanitizers
-from .test_two_axes import two_axes
+from .test_vectors import two_axes
 
 PROGRAM = Path(__file__).with_name("fuzzed_chains.c")
 FILES = [f"{name}.c" for name in ["check", "program", "chain", "slopes", "rest", "inverse", "follow", "drive", "moves"]]
@@ -145,7 +145,7 @@ def test_what_a_block_says_of_all_its_stages_is_their_sum(at: int, more: int) ->
 
 def test_one_axis_is_asked_for_where_the_engine_reads_one() -> None:
     chain, p = two_axes()
-    with pytest.raises(ValueError, match="got 2 inputs and 2 outputs, expected one of each"):
+    with pytest.raises(ValueError, match="got 3 inputs and 2 outputs, expected one of each"):
         PreparedChain(chain, p, 0.01)
     with pytest.raises(ValueError, match="got 3 parameters, expected"):
         PreparedChain(CODE[0], np.zeros(3), 0.01)
