@@ -108,7 +108,11 @@ def signals(rows: int) -> np.ndarray:
 def drawn(seed: int, rows: int = ROWS, size: int = H) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A state (4,), plans (N, 2, H) of random moves, and a measured input (H,)."""
     random = np.random.default_rng(seed)
-    return random.normal(0, 1, 4), np.cumsum(random.normal(0, 0.4, (rows, 2, size)), axis=2), random.uniform(-1, 2, size)
+    return (
+        random.normal(0, 1, 4),
+        np.cumsum(random.normal(0, 0.4, (rows, 2, size)), axis=2),
+        random.uniform(-1, 2, size),
+    )
 
 
 def test_free_runs_are_those_of_the_equation() -> None:
