@@ -127,7 +127,7 @@ def test_free_runs_are_those_of_the_equation() -> None:
 
 @given(seed=st.integers(0, 10**6))
 def test_steps_free_run_and_roll_out_are_one(seed: int) -> None:
-    """To the last bit, and those of the equation; the pressure is the same in all plans. 70 samples are several blocks."""
+    """To the last bit, and those of the equation; one pressure for all plans. 70 samples are several blocks."""
     chain, p = two_axes()
     kept, (x, plans, pressure) = chain.prepare(p[:, None], DT), drawn(seed, size=70)
     rolled = chain.roll_out(kept, x, plans, pressure)
