@@ -107,15 +107,8 @@ void hystmpc_chain_go_on(const chain_stage *s, int g, int samples) {
     }
 }
 
-/* Scheduled inputs of samples t0 ... t0 + now - 1, the same in all rows abreast. */
-static void chain_schedule(const chain_run *r, const real *known, int samples, int t0, int now) {
-    for (int j = r->commands; j < r->inputs; j++)
-        for (int i = 0; i < now * r->abreast; i++)
-            r->signal[j * CHAIN_STRIDE + i] = known[(j - r->commands) * samples + t0 + i / r->abreast];
-}
-
-/* Rows n0 ... n0 + count - 1 of hystmpc_chain_simulate; the first `given` inputs are in u, the others in `known`. */
-static void chain_simulate_rows(const chain_run *r, int n0, int count, int samples, int given, const real *u, const int *us,
+/* Rows n0 ... n0 + count - 1 of hystmpc_chain_simulate. */
+static void chain_simulate_rows(const chain_run *r, int n0, int count, int samples, const real *u, const int *us,
                                 const real *known, real *x, const int *xs, int moves, real *y, const int *ys) {
     const int g = r->abreast, block = HYSTMPC_BLOCK / g;
     for (const chain_stage *s = r->stage; s < r->stage + r->stages; s++)
@@ -125,12 +118,14 @@ static void chain_simulate_rows(const chain_run *r, int n0, int count, int sampl
                     x[(s->place[2] + i) * xs[0] + (n0 + smaller(n, count - 1)) * xs[1]];
     for (int t0 = 0; t0 < samples; t0 += block) {
         const int now = smaller(block, samples - t0);
-        if (given < r->inputs) chain_schedule(r, known, samples, t0, now);
-        for (int j = 0; j < given; j++)
+        for (int j = 0; j < r->inputs; j++) {
+            const int own = !known || j < r->commands, by_sample = own ? us[1] : 1, by_row = own ? us[2] : 0;
+            const real *const from = own ? u + j * us[0] : known + (j - r->commands) * samples;
             for (int t = 0; t < now; t++)
                 for (int n = 0; n < g; n++)
                     r->signal[j * CHAIN_STRIDE + t * g + n] =
-                        u[j * us[0] + (t0 + t) * us[1] + (n0 + smaller(n, count - 1)) * us[2]];
+                        from[(t0 + t) * by_sample + (n0 + smaller(n, count - 1)) * by_row];
+        }
         for (const chain_stage *s = r->stage; s < r->stage + r->stages; s++) {
             hystmpc_chain_run_stage(s, g, now, 0);
             hystmpc_chain_go_on(s, g, now);
@@ -148,23 +143,16 @@ static void chain_simulate_rows(const chain_run *r, int n0, int count, int sampl
                 x[(s->place[2] + i) * xs[0] + (n0 + n) * xs[1]] = s->state[i * (CHAIN_STRIDE + g) + n];
 }
 
-static void chain_simulate_given(const int *chain, const real *kept, int kept_rows, int rows, int samples, int given,
-                                 const real *u, const int *u_stride, const real *known, real *x, const int *x_stride,
-                                 int moves, real *y, const int *y_stride, char *memory) {
+void hystmpc_chain_simulate(const int *chain, const real *kept, int kept_rows, int rows, int samples, const real *u,
+                            const int *u_stride, const real *known, real *x, const int *x_stride, int moves, real *y,
+                            const int *y_stride, char *memory) {
     chain_run r;
     hystmpc_chain_lay_out(&r, chain, hystmpc_chain_abreast(rows), 0, memory);
     for (int n0 = 0; n0 < rows; n0 += r.abreast) {
         const int count = smaller(r.abreast, rows - n0);
         if (n0 == 0 || kept_rows > 1) hystmpc_chain_bind(&r, kept, kept_rows, n0, count, samples);
-        chain_simulate_rows(&r, n0, count, samples, given, u, u_stride, known, x, x_stride, moves, y, y_stride);
+        chain_simulate_rows(&r, n0, count, samples, u, u_stride, known, x, x_stride, moves, y, y_stride);
     }
-}
-
-void hystmpc_chain_simulate(const int *chain, const real *kept, int kept_rows, int rows, int samples, const real *u,
-                            const int *u_stride, real *x, const int *x_stride, int moves, real *y, const int *y_stride,
-                            char *memory) {
-    chain_simulate_given(chain, kept, kept_rows, rows, samples, chain[5], u, u_stride, NULL, x, x_stride, moves, y,
-                         y_stride, memory);
 }
 
 void hystmpc_chain_roll_out(const int *chain, const real *kept, const real *x, int rows, int samples, const real *plans,
@@ -175,6 +163,6 @@ void hystmpc_chain_roll_out(const int *chain, const real *kept, const real *x, i
         for (int i = 0; i < rows * chain[6] * samples; i++) y[i] = (real)NAN;
         return;
     }
-    chain_simulate_given(chain, kept, 1, rows, samples, commands, plans, by_plan, known, (real *)x, by_state, 0, y,
-                         by_angle, memory);
+    hystmpc_chain_simulate(chain, kept, 1, rows, samples, plans, by_plan, known, (real *)x, by_state, 0, y, by_angle,
+                           memory);
 }

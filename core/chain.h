@@ -26,14 +26,15 @@ HYSTMPC_API void hystmpc_chain_prepare(const int *chain, const real *constants, 
 /* Bytes of memory for the functions below; directions: 0 where nothing is differentiated. */
 HYSTMPC_API long hystmpc_chain_bytes(const int *chain, int rows, int directions);
 
-/* Free run of N rows over T samples; all inputs in u.
+/* Free run of N rows over T samples.
  *
  * u, y: entry j of sample t of row n at [j stride[0] + t stride[1] + n stride[2]], each with three strides.
  * x: state i of row n at [i stride[0] + n stride[1]]; overwritten by the state behind the last sample where `moves`.
+ * known: scheduled inputs (ns, T), the same in all rows; null where they stand in u, behind the commands.
  * kept: (K, kept_rows), kept_rows = N, or 1 for the same parameters in all rows. */
 HYSTMPC_API void hystmpc_chain_simulate(const int *chain, const real *kept, int kept_rows, int rows, int samples,
-                                        const real *u, const int *u_stride, real *x, const int *x_stride, int moves,
-                                        real *y, const int *y_stride, char *memory);
+                                        const real *u, const int *u_stride, const real *known, real *x,
+                                        const int *x_stride, int moves, real *y, const int *y_stride, char *memory);
 
 /* Free runs of N rows laid end to end, with derivatives in D directions by forward sensitivity.
  *

@@ -171,7 +171,9 @@ class ChainCode:
     def _run(self, kept: Array, rows: int, samples: int, u: Array, us: Whole, x: Array, xs: Whole, moves: int,
              y: Array, ys: Whole) -> None:  # fmt: skip
         memory = _memory(self._bytes(rows, 0))
-        self.functions.chain_simulate(self.code, kept, kept.shape[1], rows, samples, u, us, x, xs, moves, y, ys, memory)
+        self.functions.chain_simulate(
+            self.code, kept, kept.shape[1], rows, samples, u, us, None, x, xs, moves, y, ys, memory
+        )
 
     def differentiate(
         self, kept: Array, first: Whole, u: Array, du: Array | None, seeds: Array, states: Array, slopes: Array

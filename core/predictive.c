@@ -163,7 +163,7 @@ HYSTMPC_LOCAL void hystmpc_propose_plan(const hystmpc_problem *p, hystmpc_head *
     /* At rest most steps hold, and look no further. */
     const int first = resting && count > HYSTMPC_FOLLOWING ? HYSTMPC_FOLLOWING : count;
     const hystmpc_task task = {wanted, q.plans + HYSTMPC_INVERTED * h, g->u_last, p->law->angle_low - g->disturbance,
-                               p->law->angle_high - g->disturbance};
+                               p->law->angle_high - g->disturbance, NULL};
     if (predict_candidates(&q, 0, first)) {
         refuse_plan(out, HYSTMPC_FAILED, 0);
         return;
@@ -193,7 +193,7 @@ HYSTMPC_LOCAL int hystmpc_plan_ahead(const hystmpc_problem *p, const real *x, co
     begin_planning(&q, p, x, room_begin(room));
     const int count = build_candidates(&q, wanted, u_last, remaining, left, 0);
     if (count < 0 || predict_candidates(&q, 0, count)) return HYSTMPC_NO_ANSWER;
-    const hystmpc_task task = {wanted, q.plans + HYSTMPC_INVERTED * h, u_last, -INFINITE, INFINITE};
+    const hystmpc_task task = {wanted, q.plans + HYSTMPC_INVERTED * h, u_last, -INFINITE, INFINITE, NULL};
     take_cheapest(&q, &task, 0, count, best);
     if (!is_finite(best->cost)) return HYSTMPC_NO_PREDICTION;
     int within = 1;

@@ -72,18 +72,6 @@ class GraphSizes:
     inputs: int = 1
     outputs: int = 1
 
-    def require_one_axis(self, where: str) -> None:
-        """Refuse a graph of several commands or angles, or with measured inputs.
-
-        Raises:
-            ModelError: one line.
-        """
-        if (self.inputs, self.outputs) != (1, 1):
-            raise ModelError(
-                f"{where}: has {self.inputs} inputs and {self.outputs} outputs, expected one command and one angle; "
-                "models of several axes are not opened by this version of hystmpc"
-            )
-
 
 def check_graph(proto: onnx.ModelProto, state_size: int, where: str) -> GraphSizes:
     """Check operators, inputs, outputs and weights against the contract, and return number type and sizes.
@@ -181,7 +169,11 @@ class OnnxModel(LoadedModel):
         properties = {str(entry.key): str(entry.value) for entry in proto.metadata_props}
         super().__init__(ModelMetadata.from_properties(properties, source), start)
         sizes = check_graph(proto, self.state_size, source)
-        sizes.require_one_axis(source)
+        if (sizes.inputs, sizes.outputs) != (1, 1):
+            raise ModelError(
+                f"{source}: has {sizes.inputs} inputs and {sizes.outputs} outputs, expected one command and one angle; "
+                "models of several axes are not opened by this version of hystmpc"
+            )
         self.dtype = sizes.dtype
         self.graph: onnx.GraphProto = proto.graph
         self.initializers: Mapping[str, NDArray[np.generic]] = {

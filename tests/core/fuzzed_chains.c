@@ -147,7 +147,7 @@ static void run_free(const int *c, const double *numbers, double *parameters, in
     double *x = any_numbers((long)c[1] * rows), *y = rooms(points * c[6]);
     char *memory = room_of((size_t)bytes);
     hystmpc_chain_prepare(c, numbers, parameters, kept_rows, 0.01, kept, room);
-    hystmpc_chain_simulate(c, kept, kept_rows, rows, samples, u, stride, x, states, (int)below(2), y, stride, memory);
+    hystmpc_chain_simulate(c, kept, kept_rows, rows, samples, u, stride, NULL, x, states, (int)below(2), y, stride, memory);
     free(kept), free(room), free(u), free(x), free(y), free(memory);
 }
 
