@@ -341,13 +341,8 @@ static void list_stage(by_commands *b, const chain_stage *s) {
 }
 
 static void add_command_term(const command_term *term, int t, int lanes) {
-    const real slope = term->slope[t], *restrict factor = term->factor;
-    real *restrict to = term->to;
-    for (int l = 0; l < lanes; l += 4)
-        for (int i = l; i < l + 4; i++) {
-            const real product = slope * factor[i], before = term->kind == TERM_ADDED ? to[i] : R(0.0);
-            to[i] = term->kind == TERM_FIRST ? product : before + product;
-        }
+    for (int l = 0; l < lanes && term->kind == TERM_AFTER_NONE; l++) term->to[l] = R(0.0);
+    add_multiple(term->to, term->factor, term->slope[t], 0, lanes, term->kind != TERM_FIRST);
 }
 
 /* All signals in sample t of a block by the first `count` commands, the last of which acts for the first time. */
