@@ -251,15 +251,22 @@ static void decide(const hystmpc_problem *p, hystmpc_memory *m, const real *refe
 }
 
 /* What stands still where nothing has been started; of that memory nothing but a number is read. */
-static void stand_still(const hystmpc_problem *p, const hystmpc_memory *m, hystmpc_command *answer) {
+static void stand_still(const hystmpc_problem *p, const hystmpc_memory *m, hystmpc_command *answer, real *plan) {
+    if (plan) fill(plan + p->law->horizon, (real)NAN, p->sensing->delay + 1);
     answer->u = within_range(p, known_of(m)->command, p->lower);
     answer->predicted_deg = (real)NAN;
     answer->source = HYSTMPC_STOP;
     answer->status = HYSTMPC_LATCHED;
 }
 
-void hystmpc_controller_step(const void *problem, char *memory, real angle_deg, const real *reference, void *command,
-                             real *plan, char *room) {
+/* The angle expected at the end of sample k from now, disturbance included: of commands on their way, then of the plan. */
+static real foreseen_angle(const hystmpc_problem *p, const hystmpc_memory *m, const hystmpc_proposal *out, int k) {
+    const int delay = p->sensing->delay, planned = out->planned && k >= delay;
+    return (planned ? out->angles[k - delay] : m->observed.now.angles[k]) + known_of(m)->disturbance;
+}
+
+int hystmpc_controller_step(const void *problem, char *memory, real angle_deg, const real *reference, void *command,
+                            real *plan, char *room) {
     const hystmpc_problem *p = problem;
     const int horizon = p->law->horizon;
     hystmpc_command *answer = command;
@@ -268,8 +275,8 @@ void hystmpc_controller_step(const void *problem, char *memory, real angle_deg, 
     hystmpc_memory_at(p, memory, &m);
     memset(answer, 0, sizeof *answer);
     if (!started(&m)) {
-        stand_still(p, &m, answer);
-        return;
+        stand_still(p, &m, answer, plan);
+        return 1;
     }
     memset(&out, 0, sizeof out);
     room = room_begin(room);
@@ -289,9 +296,11 @@ void hystmpc_controller_step(const void *problem, char *memory, real angle_deg, 
     answer->inverse = out.inverse;
     answer->departure_deg = known->disturbance + known->added;
     answer->predicted_deg = (real)NAN;
-    if (!p->model) return;
-    const int planned_now = p->sensing->delay == 0 && out.planned;
-    answer->predicted_deg = (planned_now ? out.angles[0] : m.observed.now.angles[0]) + known->disturbance;
+    if (p->model) answer->predicted_deg = foreseen_angle(p, &m, &out, 0);
+    const int foreseen = !p->model || !plan ? 0 : out.planned ? out.planned : p->sensing->delay + 1;
+    for (int k = foreseen - 1; k >= 0; k--) out.angles[k] = foreseen_angle(p, &m, &out, k); /* of those before it */
+    const int supervised = out.source == HYSTMPC_FEEDBACK && m.head->level;
+    return out.status != HYSTMPC_OK || out.fault > 0 || known->missing || known->stalled || supervised;
 }
 
 void hystmpc_controller_look(const void *problem, const char *memory, real *numbers, real *x, real *angles, real *moves,

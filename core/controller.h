@@ -161,10 +161,12 @@ HYSTMPC_API int hystmpc_reference_samples(const void *problem);
 HYSTMPC_API int hystmpc_controller_init(const void *problem, char *memory, const real *x, real angle_deg,
                                         real command, char *room);
 
-/* One sample. `reference`: wanted angles [deg] at the ends of this and the next samples; null for the target in all of
- * them. plan: room for (2, H) numbers, the plan and its angles without disturbance, or null. */
-HYSTMPC_API void hystmpc_controller_step(const void *problem, char *memory, real angle_deg, const real *reference,
-                                         void *command, real *plan, char *room);
+/* One sample; 0, or 1 where anything was unusual. `reference`: wanted angles [deg] at the ends of this and the next
+ * samples; null for the target in all of them. plan: null, or room for the plan (H), then for the angles expected at
+ * the ends of this and the next samples, disturbance included: as many as are planned, else D + 1 of commands that are
+ * sent. */
+HYSTMPC_API int hystmpc_controller_step(const void *problem, char *memory, real angle_deg, const real *reference,
+                                        void *command, real *plan, char *room);
 
 /* The angle [deg] wanted from the next step on, where no reference is given. */
 HYSTMPC_API void hystmpc_controller_target(const void *problem, char *memory, real angle_deg);

@@ -19,10 +19,13 @@ long hystmpc_follow_bytes(const int *chain, const hystmpc_network *network) {
     return hystmpc_chain_single_bytes(chain) + follow_numbers(network) * (long)sizeof(real) + 64;
 }
 
-/* One sample under the command f->u. */
+/* One sample under the command f->u. Unless a limit acts, it is the one at which the inverse has ended, and the registers
+ * hold its sample. */
 static void follow_on(const single_chain *c, const hystmpc_network *network, follower *f, real *work) {
+    const single_stage *const first = c->stage, *const end = first + c->stages - 1;
+    const int known = c->stages > 0 && first->state[first->p.states] == f->u;
     real slope, theta = R(0.0);
-    const real angle = hystmpc_single_angle(c, f->u, &slope);
+    const real angle = known ? end->registers[end->p.results[1]] : hystmpc_single_angle(c, f->u, &slope);
     hystmpc_single_move(c, f->state);
     f->last = f->u;
     if (!network) return;

@@ -84,24 +84,31 @@ void hystmpc_code_lanes(const int *code, int length, real *const *row, int at, i
     }
 }
 
-#define CODE_ONE_SAMPLE(value) { row[s[1]][t] = (value); break; }
+/* What an operation does not need is not read: that is most of the time of a single number. */
+#define CODE_ONE_SAMPLE(value) {                                               \
+        const real a = row[s[2]][t], b = row[s[3]][t], c = row[s[4]][t]; \
+        (void)a, (void)b, (void)c;                                       \
+        row[s[1]][t] = (value);                                          \
+        break;                                                           \
+    }
 
 void hystmpc_code_samples(const int *code, int length, real *const *row, int first, int samples) {
     const int *end = code + CODE_WORDS * length;
     for (int t = first; t < first + samples; t++)
-        for (const int *s = code; s < end; s += CODE_WORDS) {
-            const real a = row[s[2]][t], b = row[s[3]][t], c = row[s[4]][t];
+        for (const int *s = code; s < end; s += CODE_WORDS)
             switch (s[0]) { CODE_OPERATIONS(CODE_ONE_SAMPLE) }
-        }
 }
 
-#define CODE_ONE_NUMBER(value) { registers[s[1]] = (value); break; }
+#define CODE_ONE_NUMBER(value) {                                                     \
+        const real a = registers[s[2]], b = registers[s[3]], c = registers[s[4]]; \
+        (void)a, (void)b, (void)c;                                                \
+        registers[s[1]] = (value);                                                \
+        break;                                                                    \
+    }
 
 void hystmpc_code_single(const int *code, int length, real *registers) {
-    for (const int *s = code, *end = code + CODE_WORDS * length; s < end; s += CODE_WORDS) {
-        const real a = registers[s[2]], b = registers[s[3]], c = registers[s[4]];
+    for (const int *s = code, *end = code + CODE_WORDS * length; s < end; s += CODE_WORDS)
         switch (s[0]) { CODE_OPERATIONS(CODE_ONE_NUMBER) }
-    }
 }
 
 void hystmpc_code_prepare(const hystmpc_code *p, const real *constants, int count, const real *parameters, int stride,

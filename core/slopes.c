@@ -6,6 +6,7 @@
 #include "blocks.h"
 
 #include <stddef.h>
+#include <string.h>
 
 /* to += value factor, or to = value factor where it is the first term. */
 static void add_product(real *restrict to, const real *restrict value, const real *restrict factor, int first, int lanes,
@@ -254,33 +255,158 @@ static void differentiate_runs(const chain_run *r, const group_of_runs *c) {
     }
 }
 
-/* One run in which every command is a direction, and no scheduled input; rows of dy (ny H, nu H). */
+/* One run in which every command is a direction: sample after sample, the directions that have begun side by side, those
+ * of one sample together. Each number is the sum of the same terms in the same order as above; what does not depend on the
+ * sample is listed once. */
+enum { TERM_FIRST, TERM_ADDED, TERM_AFTER_NONE };
+
+typedef struct {
+    const real *slope, *factor; /* (block), (stride) */
+    real *to;                   /* (stride) */
+    int kind;
+} command_term;
+
+typedef struct {
+    const chain_run *r;
+    int stride, terms;
+    real *now, *next, *signal; /* by commands: states (S, stride), one sample later (S, stride), signals (signals, stride) */
+    command_term *term;
+    int *acts; /* (S): whether a command reaches a state */
+} by_commands;
+
+static int commands_abreast(int count) { return (count + 3) / 4 * 4; }
+
+static int slopes_of(const int *chain) {
+    const int *place = chain + CHAIN_HEAD + chain[6];
+    int count = 0;
+    for (int k = 0; k < chain[0]; k++, place += CHAIN_STAGE) {
+        hystmpc_code p;
+        hystmpc_code_read(chain + place[0], &p);
+        count += p.slopes;
+    }
+    return count;
+}
+
+/* Bytes of memory, all of it zero at first; null for memory: the bytes alone. */
+static long lay_out_commands(by_commands *b, const int *chain, int samples, char *memory) {
+    const int stride = commands_abreast((chain[5] - chain[7]) * samples), slopes = slopes_of(chain), states = chain[1], signals = chain[4];
+    const long numbers = (long)stride * (2 * states + signals);
+    const size_t bytes = (size_t)numbers * sizeof(real) + (size_t)slopes * sizeof(command_term) +
+                         (size_t)states * sizeof(int);
+    if (!memory) return (long)bytes;
+    memset(memory, 0, bytes);
+    b->stride = stride, b->terms = 0;
+    b->term = (command_term *)(void *)memory;
+    b->now = (real *)(void *)(b->term + slopes);
+    b->next = b->now + states * stride, b->signal = b->next + states * stride;
+    b->acts = (int *)(void *)(b->now + numbers);
+    return (long)bytes;
+}
+
+/* What a slope multiplies; null where that is zero. */
+static const real *factor_of(const by_commands *b, const chain_stage *s, const int *slope) {
+    if (slope[0] == BY_INPUT) return b->signal + s->wires[slope[1]] * b->stride;
+    const int state = s->place[2] + slope[1];
+    return slope[0] == BY_STATE && b->acts[state] ? b->now + state * b->stride : NULL;
+}
+
+/* Terms of a state or an output, those by states of a state's own group last. */
+static void list_terms(by_commands *b, const chain_stage *s, int value, const int *group, real *to) {
+    int kind = TERM_FIRST;
+    for (int within = 0; within < 2; within++) {
+        for (int q = s->p.first[value]; q < s->p.first[value + 1]; q++) {
+            const int *slope = s->p.slope + 3 * q;
+            const real *factor = factor_of(b, s, slope);
+            if (!factor || within != (group && slope[0] == BY_STATE && is_in(group, slope[1]))) continue;
+            b->term[b->terms++] = (command_term){s->row[slope[2]], factor, to, kind};
+            kind = TERM_ADDED;
+        }
+        if (kind == TERM_FIRST) kind = TERM_AFTER_NONE;
+    }
+}
+
+static void list_stage(by_commands *b, const chain_stage *s) {
+    const hystmpc_code *p = &s->p;
+    const int *group = p->group, begin = s->place[2];
+    for (int k = 0; k < p->groups; k++, group += 1 + *group) {
+        int acts = 0;
+        for (int i = 1; i <= group[0]; i++)
+            for (int q = p->first[group[i]]; q < p->first[group[i] + 1]; q++)
+                acts |= factor_of(b, s, p->slope + 3 * q) != NULL;
+        for (int i = 1; i <= group[0]; i++) b->acts[begin + group[i]] = acts;
+        for (int i = 1; acts && i <= group[0]; i++)
+            list_terms(b, s, group[i], group, b->next + (begin + group[i]) * b->stride);
+    }
+    for (int o = 0; o < p->outputs; o++)
+        list_terms(b, s, p->states + o, NULL, b->signal + s->wires[p->inputs + o] * b->stride);
+}
+
+static void add_command_term(const command_term *term, int t, int lanes) {
+    for (int l = 0; l < lanes && term->kind == TERM_AFTER_NONE; l++) term->to[l] = R(0.0);
+    add_multiple(term->to, term->factor, term->slope[t], 0, lanes, term->kind != TERM_FIRST);
+}
+
+/* All signals in sample t of a block by the first `count` commands, of which the last `inputs` act for the first time. */
+static void linearise_sample(const by_commands *b, int t, int count, int inputs) {
+    const int states = b->r->states, stride = b->stride, lanes = commands_abreast(count), begun = count - inputs;
+    for (int j = 0; j < inputs; j++) {
+        b->signal[j * stride + begun + j] = R(1.0);
+        if (begun) b->signal[j * stride + begun - inputs + j] = R(0.0);
+    }
+    for (int i = 0; i < states; i++)
+        for (int q = begun; q < count; q++) b->now[i * stride + q] = R(0.0);
+    for (const command_term *term = b->term; term < b->term + b->terms; term++) add_command_term(term, t, lanes);
+    for (int l = 0; l < states * stride; l++) b->now[l] = b->next[l];
+}
+
+/* Angles of one sample, and their derivatives by the first `count` commands; rows of dy (ny H, nu H). */
+static void store_sample(const by_commands *b, int t, int sample, int samples, int inputs, real *y, real *dy) {
+    const chain_run *r = b->r;
+    const int directions = inputs * samples;
+    for (int o = 0; o < r->outputs; o++) {
+        const int row = o * samples + sample;
+        const real *by = b->signal + r->shown[o] * b->stride;
+        real *to = dy + (long)row * directions;
+        y[row] = r->signal[r->shown[o] * CHAIN_STRIDE + t];
+        for (int j = 0; j < inputs; j++)
+            for (int q = 0; q < samples; q++) to[j * samples + q] = q <= sample ? by[q * inputs + j] : R(0.0);
+    }
+}
+
 void hystmpc_chain_linearise(const int *chain, const real *kept, const real *x, const real *plan, const real *known,
                              int samples, real *y, real *dy, char *memory) {
-    const int first[2] = {0, samples}, inputs = chain[5] * samples, directions = inputs - chain[7] * samples;
+    const int inputs = chain[5] - chain[7];
     chain_run r;
-    real *at = (real *)(memory + hystmpc_chain_lay_out(&r, chain, 1, directions, memory));
+    by_commands b = {.r = &r};
+    lay_out_commands(&b, chain, samples, memory + hystmpc_chain_lay_out(&r, chain, 1, 0, memory));
     if (!chain_knows(chain, known, samples)) {
         for (int i = 0; i < chain[6] * samples; i++) y[i] = (real)NAN;
-        for (int i = 0; i < chain[6] * samples * directions; i++) dy[i] = (real)NAN;
+        for (int i = 0; i < chain[6] * samples * inputs * samples; i++) dy[i] = (real)NAN;
         return;
     }
-    real *const u = at, *const du = u + inputs, *const m = du + inputs * directions;
-    real *const seeds = m + r.states * directions;
-    for (int i = 0; i < inputs; i++) u[i] = i < directions ? plan[i] : known[i - directions];
-    for (int i = 0; i < inputs * directions; i++) du[i] = i % directions == i / directions ? R(1.0) : R(0.0);
-    for (int i = 0; i < (r.states + chain[2]) * directions; i++) m[i] = R(0.0);
-    const group_of_runs c = {.first = first, .count = 1, .runs = 1, .samples = samples, .u = u, .du = du,
-                             .seeds = seeds, .x = x, .m = m, .y = y, .dy = dy};
     hystmpc_chain_bind(&r, kept, 1, 0, 1, samples);
-    differentiate_runs(&r, &c);
+    for (const chain_stage *s = r.stage; s < r.stage + r.stages; s++) {
+        list_stage(&b, s);
+        for (int i = 0; i < s->p.states; i++) s->state[i * (CHAIN_STRIDE + 1)] = x[s->place[2] + i];
+    }
+    for (int t0 = 0; t0 < samples; t0 += HYSTMPC_BLOCK) {
+        const int now = smaller(HYSTMPC_BLOCK, samples - t0);
+        for (int j = 0; j < chain[5]; j++) {
+            const real *from = j < inputs ? plan + j * samples : known + (j - inputs) * samples;
+            for (int t = 0; t < now; t++) r.signal[j * CHAIN_STRIDE + t] = from[t0 + t];
+        }
+        for (const chain_stage *s = r.stage; s < r.stage + r.stages; s++) hystmpc_chain_run_stage(s, 1, now, 1);
+        for (int t = 0; t < now; t++) {
+            linearise_sample(&b, t, (t0 + t + 1) * inputs, inputs);
+            store_sample(&b, t, t0 + t, samples, inputs, y, dy);
+        }
+        for (const chain_stage *s = r.stage; s < r.stage + r.stages; s++) hystmpc_chain_go_on(s, 1, now);
+    }
 }
 
 long hystmpc_chain_linearise_bytes(const int *chain, int samples) {
     chain_run r;
-    const long inputs = (long)chain[5] * samples, directions = inputs - (long)chain[7] * samples;
-    const long numbers = inputs + directions * (inputs + chain[1] + chain[2]);
-    return hystmpc_chain_lay_out(&r, chain, 1, (int)directions, NULL) + (long)sizeof(real) * numbers + 64;
+    return hystmpc_chain_lay_out(&r, chain, 1, 0, NULL) + lay_out_commands(NULL, chain, samples, NULL) + 64;
 }
 
 void hystmpc_chain_differentiate(const int *chain, const real *kept, int rows, const int *first, const real *u,

@@ -122,6 +122,8 @@ _ROUNDING = 1e-9  # relative; a limit that was written with fewer digits
 
 def number_of(value: object) -> float | None:
     """Convert `value` to a number; None if it is none, such as a text, a truth value or a list."""
+    if type(value) is float:
+        return value
     if isinstance(value, str | bytes | bytearray | bool | np.bool_ | complex | np.complexfloating):
         return None
     try:

@@ -21,7 +21,7 @@ from hystmpc.trials.errors import ControllerError, HystmpcError, shown
 from hystmpc.trials.types import Index, Vec
 
 from .answers import NO_SOLUTION, SOURCES, status_words
-from .command import EMPTY, Command, CommandLimits, Timing, number_of, numbers_of
+from .command import Command, CommandLimits, Timing, number_of, numbers_of
 from .estimation.observer import ANGLE_BOUND_DEG, Bytes, Estimate, Observer, Places, read_estimate, usable_angle
 from .law import Law, LawPart
 from .linearised.program import IterativeSolution
@@ -30,6 +30,8 @@ _ROUNDING = 1e-6  # of a sample
 _HEAD, _KNOWN, _COMMAND = layout("hystmpc_head"), layout("hystmpc_known"), layout("hystmpc_command")
 _BEHIND_HEAD = -(-ctypes.sizeof(_HEAD) // 8) * 8
 _NOT_AT_REST = constants()["HYSTMPC_NOT_AT_REST"]
+_BEYOND = f"reference: not finite or beyond {ANGLE_BOUND_DEG:.0f} deg"
+_DOUBLE = np.dtype(np.float64)
 _STOPPED = "after repeated failures"
 
 
@@ -115,9 +117,11 @@ class GuardedController(HoldsAddresses):
         self._bytes, self._room_bytes = int(core.memory_bytes(self._address)), int(core.room_bytes(self._address))
         self._horizon = int(core.reference_samples(self._address))
         self._planned = self._horizon - observer.delay_samples
+        self._numbers = self._planned + max(self._planned, observer.delay_samples + 1)
         self._step = core.controller_step
         self._places = observer.places
         model = problem.fields.get("model")
+        self._sent = 0 if model is None else self._places.angles
         self._states = 0 if model is None else int(core.model_states(model.address))
         self._unusable = np.full(self._horizon, np.nan)
         self._local = local()
@@ -263,22 +267,24 @@ class GuardedController(HoldsAddresses):
         """Compute the command of one sample, for any `y` and any `reference`; see `Controller.step`."""
         began = perf_counter()
         wanted, fault = usable_reference(reference, self._horizon, self._unusable)
-        memory, plan, answer = self._copied(state), np.empty((2, self._planned)), _COMMAND()
+        memory, numbers, answer = self._copied(state), np.empty(self._numbers), _COMMAND()
         if state.refusal:
             self._engine.controller_hurry(self._address, memory)
         forget_faults()
         if self._outside is not None:
             self._outside.begin(state.law)
-        address = ctypes.addressof(answer)
-        self._step(self._address, memory, usable_angle(y), wanted, address, plan, self._room)
+        address, angle = ctypes.addressof(answer), number_of(y)
+        unusual = self._step(
+            self._address, memory, math.nan if angle is None else angle, wanted, address, numbers, self._room
+        )
         after = GuardedState(memory, self._places, self._law_after(state, answer), state.cause)
-        status = self._status(state, after, answer, fault)
+        planned, begin, sent = answer.planned, self._planned, self._sent
         command = Command(
             u=answer.u,
             source=SOURCES[answer.source],
-            status=status,
-            plan=plan[0, : answer.planned],
-            predicted=self._predicted(after, plan[1, : answer.planned]),
+            status=self._status(state, after, answer, fault) if unusual else self._note,
+            plan=numbers[:planned],
+            predicted=numbers[begin : begin + (planned or sent if sent else 0)],
             disturbance=answer.departure_deg,
             timing=Timing({"step": perf_counter() - began}),
         )
@@ -291,24 +297,15 @@ class GuardedController(HoldsAddresses):
         proposal = self._outside.answer
         return state.law if proposal is None or answer.status else proposal.memory
 
-    def _predicted(self, after: GuardedState, planned: Vec) -> Vec:
-        """Angles at the ends of this and the next samples, of commands already sent and of the plan."""
-        delay = self._places.angles - 1
-        if delay < 0:
-            return EMPTY
-        if planned.size and not delay:
-            return planned + after.known.disturbance
-        under_way = np.array(after.estimate.angles)
-        if not planned.size:
-            return under_way + after.known.disturbance
-        return np.concatenate([under_way[:-1], planned])[: planned.size] + after.known.disturbance
+    @property
+    def _note(self) -> str:
+        """What a law written in Python says of a sample in which nothing was unusual."""
+        answer = None if self._outside is None else self._outside.answer
+        return "ok" if answer is None else answer.status or "ok"
 
     def _status(self, state: GuardedState, after: GuardedState, answer: Any, fault: str) -> str:
         known, head = after.known, after.head
         level = head.level if answer.source == 1 else 0
-        if not (answer.status or answer.missing or known.stalled or level or answer.fault > 0):
-            note = "" if self._outside is None or self._outside.answer is None else self._outside.answer.status
-            return note or "ok"
         more = {
             "cause": state.cause,
             "reference": fault,
@@ -346,11 +343,9 @@ class GuardedController(HoldsAddresses):
 
 
 def usable_reference(reference: object, horizon: int, unusable: Vec) -> tuple[Vec, str]:
-    """Return the first `horizon` reference angles [deg], or `unusable` and what is wrong with them."""
-    wanted = numbers_of(reference)
+    """Return reference angles [deg] for the engine, `unusable` for too few; and what may be wrong with them."""
+    plain = type(reference) is np.ndarray and reference.dtype is _DOUBLE
+    wanted: Vec = reference if plain else numbers_of(reference)
     if wanted.ndim != 1 or wanted.shape[0] < horizon:
         return unusable, f"reference: got shape {wanted.shape}, expected ({horizon},)"
-    wanted = np.ascontiguousarray(wanted[:horizon])
-    if not np.abs(wanted).max() <= ANGLE_BOUND_DEG:  # or not a number
-        return unusable, f"reference: not finite or beyond {ANGLE_BOUND_DEG:.0f} deg"
-    return wanted, ""
+    return np.ascontiguousarray(wanted), _BEYOND

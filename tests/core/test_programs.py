@@ -100,6 +100,24 @@ def test_a_drawn_step_runs_as_casadi_runs_it(drawn: list[tuple[str, int, int]]) 
     np.testing.assert_allclose([y, *following], [*shown, *after], rtol=1e-12, atol=1e-12)
 
 
+@given(draws, draws)
+@settings(max_examples=40, deadline=None)
+def test_a_jacobian_is_the_sensitivity_to_each_command(
+    first: list[tuple[str, int, int]], second: list[tuple[str, int, int]]
+) -> None:
+    """To the last bit, through two steps in series, over more samples than a block has."""
+    code = ChainCode([function_program(step_of(drawn)) for drawn in (first, second)])
+    kept, rng = code.prepare(np.array([[0.7], [-1.2], [0.4], [0.9]]), DT), np.random.default_rng(7)
+    for samples in (1, 2, 21, 261):
+        x, u = rng.uniform(-1, 1, code.states), rng.uniform(-2, 2, samples)
+        no_seeds, at_rest = np.zeros((code.parameters, samples)), np.zeros((code.states, 1, samples))
+        ends = np.array([0, samples], dtype=np.intc)
+        y, by = code.differentiate(kept, ends, u, np.eye(samples), no_seeds, x.reshape(-1, 1), at_rest)
+        angles, jacobian = code.linearise(kept, x, u)
+        np.testing.assert_array_equal(angles, y)
+        np.testing.assert_array_equal(jacobian, by)
+
+
 @pytest.mark.parametrize("level", levels())
 def test_every_level_gives_the_same_bits(level: str) -> None:
     if level != "plain" and int(level[1:]) > engine("plain").level():

@@ -184,8 +184,8 @@ void hystmpc_memory_at(const hystmpc_problem *p, char *memory, hystmpc_memory *m
 }
 
 /* A law that answers anything. */
-void hystmpc_controller_step(const void *problem, char *memory, real angle, const real *reference, void *command,
-                             real *plan, char *room) {
+int hystmpc_controller_step(const void *problem, char *memory, real angle, const real *reference, void *command,
+                            real *plan, char *room) {
     hystmpc_command *answer = command;
     (void)problem, (void)memory, (void)plan, (void)room;
     if (!isnan(angle) && !(loop->angle_low <= angle && angle <= loop->angle_high)) fail("an angle that is not plausible");
@@ -193,6 +193,7 @@ void hystmpc_controller_step(const void *problem, char *memory, real angle, cons
     answer->u = any_number(1.0 + (double)below(1000) / 250.0);
     answer->departure_deg = any_number(0.0);
     clock_ns += below(100 * rare) ? below(1000000) : below(50000000);
+    return 0;
 }
 
 static void begin(void) {
