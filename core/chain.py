@@ -186,6 +186,26 @@ class ChainCode:
             seeds.shape[1], seeds, x, m, room
         )  # fmt: skip
 
+    def settle(
+        self, kept: Array, core: int, u: Array, y: Array, parameters: Array, seeds: Array
+    ) -> tuple[Array, Array]:
+        """States at rest (S, N) of the whole chain and their derivatives (S, N, D), at inputs u and outputs y (N,).
+
+        Args:
+            core: stage whose angle is sought; every other one rests at the output of the one before it.
+            parameters, seeds: (P,), and their derivative in each direction (P, D).
+        """
+        rows, directions = u.size, seeds.shape[1]
+        x, m = np.empty((self.states, rows)), np.empty((self.states, rows, directions))
+        key = (rows, directions, self.states)
+        if key not in self._known_bytes:
+            self._known_bytes[key] = int(self.functions.chain_settle_bytes(self.code, rows, directions))
+        self.functions.chain_settle(
+            self.code, self.constants, kept, core, rows, u, y, parameters, directions, seeds, x, m,
+            _memory(self._known_bytes[key]),
+        )  # fmt: skip
+        return x, m
+
     def linearise(self, kept: Array, state: Array, plan: Array) -> tuple[Array, Array]:
         """Outputs (H,) along one plan (H,) and their derivatives (H, H) by its commands."""
         size = plan.size

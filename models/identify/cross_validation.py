@@ -194,8 +194,19 @@ class CrossValidation:
     ) -> Hypothesis:
         """Causes fitted jointly with the baseline, from baseline values z and several values of the effects."""
         problem = Problem(self.baseline, effects, terms)
-        fits = [fit_problem(problem, self.runs, problem.start(z, values), self.evaluations, 1e-3) for values in starts]
-        return min(fits, key=lambda fit: fit.mse)
+        return min((self._fitted(problem, problem.start(z, values)) for values in starts), key=lambda fit: fit.mse)
+
+    def _fitted(self, problem: Problem, start: Vec) -> Hypothesis:
+        """Fit from one start; a selection asks for some of them again."""
+        key = problem.effects, problem.terms, start.tobytes()
+        if key not in self._known:
+            self._known.setdefault(key, fit_problem(problem, self.runs, start, self.evaluations, 1e-3))
+        return self._known[key]
+
+    @cached_property
+    def _known(self) -> dict[tuple[object, ...], Hypothesis]:
+        """Fits by their causes and start."""
+        return {}
 
     def without(self, hypothesis: Hypothesis, dropped: AbstractSet[str]) -> Hypothesis:
         """Hypothesis refitted without some of its causes, from its present values."""
@@ -240,8 +251,8 @@ class CrossValidation:
         for rest, held_out in self._splits:
             q = fit_problem(problem, rest, hypothesis.q, self.evaluations, 1e-3).q if rest else hypothesis.q
             fold_q.append(q)
-            for k, run in held_out.items():
-                parts[k].append(problem.held_out_error(q, run))
+            for k, error in zip(held_out, problem.held_out_errors(q, list(held_out.values())), strict=True):
+                parts[k].append(error)
         errors = tuple(map(np.concatenate, parts))
         blocks = blocks_of(errors, self.runs)
         return HeldOutErrors(blocks.energy, blocks.samples, blocks.run, hypothesis, errors, tuple(fold_q))
@@ -276,11 +287,11 @@ def sureness(before: Blocks, after: Blocks) -> float:
 
 def _paired(difference: Vec, runs: NDArray[np.intp]) -> tuple[float, float]:
     """Sum of the differences of blocks and its standard error by their scatter within the runs."""
-    variance = 0.0
-    for k in np.unique(runs):
-        part = difference[runs == k]
-        variance += part.size * float(np.var(part, ddof=1)) if part.size > 1 else float(part[0] ** 2)
-    return float(difference.sum()), float(np.sqrt(variance))
+    size = np.bincount(runs)
+    apart = difference - (np.bincount(runs, difference) / np.maximum(size, 1))[runs]
+    squares = np.bincount(runs, apart**2) * size / np.maximum(size - 1, 1)
+    alone = difference[size[runs] == 1]
+    return float(difference.sum()), float(np.sqrt(squares.sum() + alone @ alone))
 
 
 def mean_square_difference(one: HeldOutErrors, other: HeldOutErrors) -> float:

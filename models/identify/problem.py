@@ -243,11 +243,16 @@ class Problem:
         left = self.terms.projected(run, theta[run.scored], both[run.scored])
         return left[:, -1], left[:, :-1]
 
-    def held_out_error(self, q: Vec, run: Run) -> Vec:
-        """Angle minus measurement where it counts (C,); terms of the trial are estimated on other blocks."""
-        theta, both = self._pass(q, RunsTogether.of([run]))
-        scored = both[run.scored]
-        return self.terms.cross_fitted(run, theta[run.scored], scored[:, -1], scored[:, :-1])
+    def held_out_errors(self, q: Vec, runs: Sequence[Run]) -> tuple[Vec, ...]:
+        """Angle minus measurement where each run counts (C,); terms of a trial are estimated on its other blocks."""
+        errors = []
+        for together in RunsTogether.groups(runs):
+            theta, both = self._pass(q, together)
+            for run, at in together.each():
+                scored = both[at][run.scored]
+                error = np.ascontiguousarray(scored[:, -1])  # a view would keep all derivatives
+                errors.append(self.terms.cross_fitted(run, theta[at][run.scored], error, scored[:, :-1]))
+        return tuple(errors)
 
     def products(self, q: Vec, together: RunsTogether, white: Vec = AS_IT_IS) -> tuple[Vec, list[Vec]]:
         """Products of derivatives and errors in one pass over many runs, derivatives first and the error last.

@@ -126,8 +126,8 @@ class RunsTogether:
     @classmethod
     def groups(cls, runs: Sequence[Run]) -> tuple[RunsTogether, ...]:
         """Concatenate runs in groups whose derivatives fit in a processor's cache."""
-        groups, size = [[runs[0]]], runs[0].command.size
-        for run in runs[1:]:
+        groups, size = list[list[Run]](), _GROUP
+        for run in runs:
             size += run.command.size
             if size > _GROUP:
                 groups.append([])
