@@ -212,7 +212,7 @@ class FinalErrors:
     def _between_trials(self, floor_mse: float) -> float:
         """Half of the 90 % interval due to differences between trials, relative to the closed share."""
         shares, runs = [], self._prepared.counted
-        errors = (h.problem.held_out_errors(h.q, runs) for h in (self._retuned, self._chosen))
+        errors = (h.held_out_errors(runs) for h in (self._retuned, self._chosen))
         for each in zip(*errors, strict=True):
             before, after = (float(np.mean(error**2)) for error in each)
             if before > _GAP_FACTOR * floor_mse:
@@ -278,14 +278,14 @@ class FinalErrors:
 
 def final_blocks(hypothesis: Hypothesis, runs: Sequence[Run]) -> Blocks:
     """Errors of a fitted hypothesis on runs outside its fit."""
-    return blocks_of(hypothesis.problem.held_out_errors(hypothesis.q, runs), runs)
+    return blocks_of(hypothesis.held_out_errors(runs), runs)
 
 
 def measured_blocks(prepared: PreparedTrials, hypothesis: Hypothesis) -> Blocks:
     """Errors on the final runs against the angles as measured, faults of the sensor included."""
     names = [run.name for run in prepared.everything]
     mended = [(run.angle - prepared.raw[names.index(run.name)])[run.counts] for run in prepared.final]
-    errors = hypothesis.problem.held_out_errors(hypothesis.q, prepared.final)
+    errors = hypothesis.held_out_errors(prepared.final)
     errors = [error + change for error, change in zip(errors, mended, strict=True)]
     return blocks_of(errors, prepared.final)
 

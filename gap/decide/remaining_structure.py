@@ -170,7 +170,7 @@ def remaining_curvature(hypothesis: Hypothesis, runs: Sequence[Run], floor_mse: 
     """
     angles, errors = [], []
     for run in runs:
-        theta = hypothesis.problem.angles(hypothesis.q, run)
+        theta = hypothesis.angles(run)
         rises = np.gradient(theta) >= 0
         angles.append(np.stack([theta, rises], axis=1)[run.counts])
         errors.append((run.angle - theta)[run.counts])
@@ -190,7 +190,7 @@ def slow_mse(hypothesis: Hypothesis, runs: Sequence[Run]) -> float:
     """Mean square of the remaining error after averaging over three seconds [deg^2]: slow change within trials."""
     total, count = 0.0, 0
     for run in runs:
-        error, blocks = hypothesis.problem.error(hypothesis.q, run)[0], run.blocks(_SLOW_S)
+        error, blocks = hypothesis.error(run), run.blocks(_SLOW_S)
         blocks = blocks - blocks.min()
         samples = np.bincount(blocks)
         means = np.bincount(blocks, error)[samples > 0] / samples[samples > 0]
@@ -265,7 +265,7 @@ class Jumps:
 def find_jumps(runs: Sequence[Run], retuned: Hypothesis, signs: SensorSigns) -> Jumps:
     """Detect stick-slip jumps in steady motion."""
     least = max(_NOISES * signs.noise_deg, _STEPS * signs.quantisation_deg, 1e-9)
-    simulated = [retuned.problem.angles(retuned.q, run) for run in runs]
+    simulated = [retuned.angles(run) for run in runs]
     steady = _pattern(runs, simulated, least, _UNEVEN)
     if steady.windows >= _ENOUGH:
         return steady

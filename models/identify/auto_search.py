@@ -230,7 +230,7 @@ class AutoSearch:
         known = {_names(form): form for part in self._parts for form in part.forms}
         forms = {name: near(known[_names(form)]) for name, form in choice.forms.items()}
         core = next(core for core in self._cores if core.label == choice.core.label)
-        z = choice.hypothesis.problem.retuned(choice.hypothesis.q)
+        z = choice.hypothesis.z
         core = replace(core, starts=(core.starts[0].with_values(z.tolist()),))
         present = self._judged(core, forms, self._fitted(core, forms, None))
         drives = self._alternatives(drive.name, present)
@@ -358,9 +358,8 @@ class AutoSearch:
         starts = [[held[c.label]] if c.label in held else [list(start) for start in c.starts] for c in effects]
         values = [list(chosen) for chosen in itertools.product(*starts)]
         if present is not None and present.core.label == core.label:
-            known = present.hypothesis.problem
-            validation = replace(validation, baseline=known.baseline)
-            return validation.with_causes(effects, terms, known.retuned(present.hypothesis.q), values)
+            validation = replace(validation, baseline=present.hypothesis.problem.baseline)
+            return validation.with_causes(effects, terms, present.hypothesis.z, values)
         chains = core.starts
         if isinstance(core.starts[0].core, Line):
             chains = (self._line_behind([c for c in effects if c not in core.curve], values[0]),)
@@ -416,8 +415,7 @@ def _near(candidate: Candidate, values: tuple[float, ...], dt_s: float, whole_s:
 
 
 def _values(hypothesis: Hypothesis) -> dict[str, list[float]]:
-    values = hypothesis.problem.effect_values(hypothesis.q)
-    return {c.label: list(v.values()) for c, v in zip(hypothesis.problem.effects, values, strict=True)}
+    return {c.label: v for c, v in zip(hypothesis.problem.effects, hypothesis.values, strict=True)}
 
 
 def _points(core: CoreForm, forms: Mapping[str, Form], present: Choice) -> int:

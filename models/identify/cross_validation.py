@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from hystmpc.trials.types import Mat, Vec
 
+from ..chain import Chain
 from ..effects.effect import Candidate
 from .baseline import Baseline
 from .least_squares import minimise, triangle_of
@@ -42,6 +43,33 @@ class Hypothesis:
     def effects(self) -> frozenset[str]:
         """Names of the causes."""
         return frozenset((*(c.effect for c in self.problem.effects), *self.problem.terms.names))
+
+    @property
+    def z(self) -> Vec:
+        """Baseline unknowns (Z,)."""
+        return self.problem.retuned(self.q)
+
+    @property
+    def values(self) -> list[list[float]]:
+        """Free parameters of each cause, as a fit starts from them."""
+        return [list(values.values()) for values in self.problem.effect_values(self.q)]
+
+    @property
+    def chain(self) -> Chain:
+        """Chain with the fitted parameters."""
+        return self.problem.fitted_chain(self.q)
+
+    def angles(self, run: Run) -> Vec:
+        """Angles (T,) of a free run [deg]."""
+        return self.problem.angles(self.q, run)
+
+    def error(self, run: Run) -> Vec:
+        """Angle minus measurement where it counts (C,) [deg], without terms of the trial."""
+        return self.problem.error(self.q, run)[0]
+
+    def held_out_errors(self, runs: Sequence[Run]) -> tuple[Vec, ...]:
+        """Angle minus measurement of each run (C,) [deg]; terms of a trial are estimated on its other blocks."""
+        return self.problem.held_out_errors(self.q, runs)
 
     @cached_property
     def label(self) -> str:
@@ -208,18 +236,21 @@ class CrossValidation:
         """Fits by their causes and start."""
         return {}
 
+    def with_one_more(self, base: Hypothesis, candidate: Candidate) -> Hypothesis:
+        """One more cause, from its starts and the present values of a hypothesis, fitted jointly with all others."""
+        effects, starts = (*base.problem.effects, candidate), [[*base.values, start] for start in candidate.starts]
+        return self.with_causes(effects, base.problem.terms, base.z, starts)
+
     def without(self, hypothesis: Hypothesis, dropped: AbstractSet[str]) -> Hypothesis:
         """Hypothesis refitted without some of its causes, from its present values."""
         problem = hypothesis.problem
-        values = [list(v.values()) for v in problem.effect_values(hypothesis.q)]
-        kept = [(c, v) for c, v in zip(problem.effects, values, strict=True) if c.effect not in dropped]
+        kept = [(c, v) for c, v in zip(problem.effects, hypothesis.values, strict=True) if c.effect not in dropped]
         terms = replace(
             problem.terms,
             shift=problem.terms.shift and "trial_shift" not in dropped,
             frequency_hz=0.0 if "periodic_disturbance" in dropped else problem.terms.frequency_hz,
         )
-        z = problem.retuned(hypothesis.q)
-        return self.with_causes([c for c, _ in kept], terms, z, [[v for _, v in kept]])
+        return self.with_causes([c for c, _ in kept], terms, hypothesis.z, [[v for _, v in kept]])
 
     def polished(self, hypothesis: Hypothesis) -> Hypothesis:
         """Hypothesis fitted to convergence."""
@@ -227,7 +258,7 @@ class CrossValidation:
 
     def fitted_errors(self, hypothesis: Hypothesis) -> Blocks:
         """Training errors, in the blocks of `judge`."""
-        return blocks_of([hypothesis.problem.error(hypothesis.q, run)[0] for run in self.runs], self.runs)
+        return blocks_of([hypothesis.error(run) for run in self.runs], self.runs)
 
     @cached_property
     def _splits(self) -> tuple[tuple[tuple[Run, ...], dict[int, Run]], ...]:

@@ -203,8 +203,11 @@ class Problem:
 
     def retuned(self, q: Vec) -> Vec:
         """Baseline unknowns z (Z,) at unknowns q."""
+        return self._retuned(self.plain(q))
+
+    def _retuned(self, values: Vec) -> Vec:
         z = self.baseline.nominal.copy()
-        z[self._active] = self.plain(q)[: self._z]
+        z[self._active] = values[: self._z]
         return z
 
     def effect_values(self, q: Vec) -> list[dict[str, float]]:
@@ -319,7 +322,7 @@ class Problem:
     def _values_at(self, q: Vec) -> tuple[Vec, Vec]:
         values = self.plain(q)
         p, slope = self._given.copy(), np.zeros((self._given.size, q.size))
-        core, by_z = self.baseline.core_values(self.retuned(q))
+        core, by_z = self.baseline.core_values(self._retuned(values))
         p[self._core], slope[self._core, : self._z] = core, (by_z * self.baseline.scale)[:, self._active]
         for k, (freedom, indices) in enumerate(self._freedoms, self._z):
             p[indices], slope[indices, k] = values[k], freedom.scale or values[k]

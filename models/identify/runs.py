@@ -377,9 +377,9 @@ def whitening(errors: Sequence[Vec]) -> Vec:
 
 
 def whitened(signal: Vec, white: Vec) -> Vec:
-    """Filtered signal (T, ...) of one run; zero in the first samples, which lack a past."""
+    """Filtered signal (T, ...) of one run; zero in the first samples, which lack a past. A filter begins with 1."""
     if white.size == 1:
-        return white[0] * signal
+        return signal
     left = np.asarray(lfilter(white, [1.0], signal, axis=0))
     left[: white.size - 1] = 0.0
     return left

@@ -290,19 +290,12 @@ class _Fits(_Judged):
         return self._added[base]
 
     def _fitted_additions(self, base: Hypothesis) -> list[Hypothesis]:
-        z = base.problem.retuned(base.q)
-        there = [list(values.values()) for values in base.problem.effect_values(base.q)]
         best: dict[str, Hypothesis] = {}
         predicted: dict[str, float] = {}
         reached: dict[Candidate, float] = {}
-
-        def fitted(candidate: Candidate) -> Hypothesis:
-            effects = (*base.problem.effects, candidate)
-            starts = [[*there, start] for start in candidate.starts]
-            return self._validation.with_causes(effects, base.problem.terms, z, starts)
-
         tried = [candidate for candidate in self._candidates if candidate.effect not in base.effects]
-        for k, (candidate, made) in enumerate(zip(tried, side_by_side(fitted, tried), strict=True)):
+        fits = side_by_side(lambda candidate: self._validation.with_one_more(base, candidate), tried)
+        for k, (candidate, made) in enumerate(zip(tried, fits, strict=True)):
             self._progress(k / len(tried), candidate.label)
             reached[candidate] = made.mse * self._expected(len(candidate.free))
             if candidate.effect not in best or reached[candidate] < predicted[candidate.effect]:
@@ -310,7 +303,7 @@ class _Fits(_Judged):
         if not base.effects:
             self._candidates = _favourites(reached, self._settings.variants)
         for terms in self._terms(base):
-            made = self._validation.with_causes(base.problem.effects, terms, z, [there])
+            made = self._validation.with_causes(base.problem.effects, terms, base.z, [base.values])
             name = next(name for name in terms.names if name not in base.problem.terms.names)
             if name not in best or made.mse < self._settings.width_share * best[name].mse:
                 best[name] = made
@@ -334,7 +327,7 @@ class _Fits(_Judged):
             made += [replace(terms, shift=True, width=width)] if width >= 0 else []
         if not terms.frequency_hz and "periodic_disturbance" not in self._without:
             runs, settings = list(self._validation.runs), self._settings
-            errors = [base.problem.error(base.q, run)[0] for run in runs]
+            errors = [base.error(run) for run in runs]
             line = strongest_line(runs, errors, settings.lowest_hz, settings.highest_hz)
             if line > 0:
                 is_motion = bool(motion_frequencies(runs, np.array([2 * line]))[0])

@@ -42,14 +42,12 @@ def timing_rivals(
         return {}
     late_s = next(v for name, v in delays[0].items() if name.endswith("_s"))
     others = rest or chosen
-    values = list(zip(others.problem.effects, others.problem.effect_values(others.q), strict=True))
-    kept = [(c, list(v.values())) for c, v in values if c.effect not in TIMING]
-    z, terms = others.problem.retuned(others.q), chosen.problem.terms
+    kept = [(c, v) for c, v in zip(others.problem.effects, others.values, strict=True) if c.effect not in TIMING]
 
     def fit(candidate: Candidate) -> Hypothesis:
         effects = (*(c for c, _ in kept), candidate)
         starts = [[*(v for _, v in kept), start] for start in (candidate.starts[0], _late(candidate, late_s))]
-        return validation.with_causes(effects, terms, z, starts)
+        return validation.with_causes(effects, chosen.problem.terms, others.z, starts)
 
     def compared(form: tuple[Candidate, Hypothesis]) -> tuple[Hypothesis, InParts]:
         candidate, h = form
@@ -60,7 +58,7 @@ def timing_rivals(
     for candidate, made in zip(tried, side_by_side(fit, tried), strict=True):
         fitted.setdefault(candidate.effect, []).append((candidate, made))
     best = min((h for forms in fitted.values() for _, h in forms), key=lambda h: h.mse)
-    white = whitening([best.problem.error(best.q, run)[0] for run in validation.runs])
+    white = whitening([best.error(run) for run in validation.runs])
     hypotheses = {}
     for effect, forms in fitted.items():
         forms = sorted(forms, key=lambda form: form[1].mse)[:_FORMS]
