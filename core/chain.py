@@ -100,6 +100,15 @@ class ChainCode:
         }
         self._known_bytes: dict[tuple[int, ...], int] = {}
 
+    def require_one_axis(self) -> None:
+        """Refuse a chain of several inputs or outputs.
+
+        Raises:
+            ValueError: for such a chain.
+        """
+        if (self.inputs, self.outputs) != (1, 1):
+            raise ValueError(f"chain: got {self.inputs} inputs and {self.outputs} outputs, expected one of each")
+
     def prepare(self, parameters: Array, dt_s: float) -> Array:
         """Values (K, N) that parameters (P, N) and sample time [s] alone decide.
 
@@ -194,7 +203,11 @@ class ChainCode:
         Args:
             core: stage whose angle is sought; every other one rests at the output of the one before it.
             parameters, seeds: (P,), and their derivative in each direction (P, D).
+
+        Raises:
+            ValueError: for a chain of several inputs or outputs.
         """
+        self.require_one_axis()
         rows, directions = u.size, seeds.shape[1]
         x, m = np.empty((self.states, rows)), np.empty((self.states, rows, directions))
         key = (rows, directions, self.states)
@@ -249,8 +262,7 @@ class PreparedChain:
     """
 
     def __init__(self, code: ChainCode, parameters: Array, dt_s: float) -> None:
-        if (code.inputs, code.outputs) != (1, 1):
-            raise ValueError(f"chain: got {code.inputs} inputs and {code.outputs} outputs, expected one of each")
+        code.require_one_axis()
         self.code = code
         self.kept = code.prepare(np.array(parameters, dtype=np.float64).reshape(-1, 1), dt_s)
 

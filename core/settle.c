@@ -39,9 +39,9 @@ static void settle_stage(const settling *c, int k) {
     const chain_run *r = &c->r;
     const chain_stage *s = r->stage + k;
     const int g = r->abreast, d = r->directions, first = s->place[2];
-    const int holds = k == c->core;
+    const int holds = k == c->core && s->p.outputs > 0;
     real *x = c->x + first * g, *m = c->m + first * g * d;
-    read_signal(c, s->wires[0], c->in, c->by_in);
+    if (s->p.inputs > 0) read_signal(c, s->wires[0], c->in, c->by_in);
     if (s->place[1] >= 0)
         hystmpc_chain_rest(c->chain, c->constants, k, g, c->in, c->by_in, holds ? c->at : c->in,
                            holds ? c->by_at : c->by_in, c->parameters + s->place[3], 1, d, c->seeds + s->place[3] * d,
@@ -58,7 +58,7 @@ static void settle_stage(const settling *c, int k) {
     hystmpc_chain_run_stage(s, g, 1, 1);
     hystmpc_chain_move_stage(r, s, c->seeds, 1);
     if (holds)
-        for (int n = 0; n < g; n++) c->shown[n] = r->signal[s->wires[1] * CHAIN_STRIDE + n];
+        for (int n = 0; n < g; n++) c->shown[n] = r->signal[s->wires[s->p.inputs] * CHAIN_STRIDE + n];
 }
 
 /* The whole chain at the present angles of the core. */
@@ -158,7 +158,8 @@ void hystmpc_chain_settle(const int *chain, const real *constants, const real *k
     const int g = c.r.abreast, d = directions + 1;
     for (int p = 0; p < chain[2]; p++)
         for (int q = 0; q < d; q++) c.seeds[p * d + q] = q < directions ? seeds[p * directions + q] : R(0.0);
-    for (int k = 0; k < g * d; k++) c.by_at[k] = k % d == directions ? R(1.0) : R(0.0);
+    for (int k = 0; k < g * d; k++) c.by_at[k] = k % d == directions ? R(1.0) : R(0.0), c.by_in[k] = R(0.0);
+    for (int n = 0; n < g; n++) c.in[n] = c.shown[n] = R(0.0);
     for (int i = 0; i < c.r.states * g * d; i++) c.m[i] = R(0.0);
     for (int i = 0; i < c.r.states * g; i++) c.x[i] = R(0.0);
     hystmpc_chain_bind(&c.r, kept, 1, 0, 1, 1);

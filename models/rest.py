@@ -124,6 +124,6 @@ class ChainRest:
 
     def states(self, command: Vec, angle: Vec) -> Vec:
         """States (N, S) at commands (N,) with output angles (N,) [deg], or the nearest possible ones."""
-        rests = (np.ascontiguousarray(rest, dtype=np.float64) for rest in (command, angle))
+        u, y = (np.ascontiguousarray(rest, dtype=np.float64) for rest in (command, angle))
         still = np.empty((self._values.size, 0))
-        return np.ascontiguousarray(self._run.code.settle(self._run.kept, self._core, *rests, self._values, still)[0].T)
+        return np.ascontiguousarray(self._run.code.settle(self._run.kept, self._core, u, y, self._values, still)[0].T)

@@ -107,8 +107,8 @@ class StagedChain:
         """
         p, seeds = self._rows(values, 1), self._seeds(seeds)
         self._require_room(p, dt_s)
-        rests = (np.ascontiguousarray(rest, dtype=np.float64) for rest in (command, angle))
-        return self._code.settle(self._code.prepare(p, dt_s), self._core, *rests, p, seeds)
+        u, y = (np.ascontiguousarray(rest, dtype=np.float64) for rest in (command, angle))
+        return self._code.settle(self._code.prepare(p, dt_s), self._core, u, y, p, seeds)
 
     def rollouts(self, dt_s: float, values: Vec) -> Runs:
         """Free runs of the chain with parameters (P,), for `estimated_start`."""
