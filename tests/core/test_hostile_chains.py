@@ -22,7 +22,8 @@ from ..sanitized import said_under_sanitizers
 from .test_two_axes import two_axes
 
 PROGRAM = Path(__file__).with_name("fuzzed_chains.c")
-FILES = [f"{name}.c" for name in "check program chain slopes rest settle inverse follow drive moves".split()]
+NEEDED = ("check", "program", "chain", "slopes", "rest", "settle", "inverse", "follow", "drive", "moves")
+FILES = [f"{name}.c" for name in NEEDED]
 BLOCKS = 3000
 HEAD = 19
 STATES, INPUTS, PARAMETERS, OUTPUTS, KEPT, ROWS, SLOPES, GROUPS, REGISTERS, SINGLE = range(1, 11)
