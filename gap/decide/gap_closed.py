@@ -285,9 +285,8 @@ def measured_blocks(prepared: PreparedTrials, hypothesis: Hypothesis) -> Blocks:
     """Errors on the final runs against the angles as measured, faults of the sensor included."""
     names = [run.name for run in prepared.everything]
     mended = [(run.angle - prepared.raw[names.index(run.name)])[run.counts] for run in prepared.final]
-    errors = hypothesis.held_out_errors(prepared.final)
-    errors = [error + change for error, change in zip(errors, mended, strict=True)]
-    return blocks_of(errors, prepared.final)
+    left = hypothesis.held_out_errors(prepared.final)
+    return blocks_of([error + change for error, change in zip(left, mended, strict=True)], prepared.final)
 
 
 def _parameters(chosen: Hypothesis, prepared: PreparedTrials) -> dict[str, Mapping[str, float]]:
