@@ -4,7 +4,7 @@
 #include "blocks.h"
 #include "room.h"
 
-/* Newton's method on the angle given to the core, as models/rest.py: rounds, tolerance [deg], slope that leads nowhere,
+/* Newton's method on the angle given to the core, as settle.c: rounds, tolerance [deg], slope that leads nowhere,
  * step back from an edge of the core's range and step of a difference quotient [deg]. */
 enum { REST_ROUNDS = 8 };
 #define REST_CLOSE R(1e-9)

@@ -50,6 +50,9 @@ HYSTMPC_LOCAL void hystmpc_chain_bind(const chain_run *r, const real *kept, int 
 /* A block of samples of one stage; the states stand in the first column and end in column `samples`. */
 HYSTMPC_LOCAL void hystmpc_chain_run_stage(const chain_stage *s, int g, int samples, int slopes);
 
+/* The derivatives of a block that ran with its slopes, in all directions; seeds (P, D) of the whole chain. */
+HYSTMPC_LOCAL void hystmpc_chain_move_stage(const chain_run *r, const chain_stage *s, const real *seeds, int samples);
+
 /* The last column of the states becomes the first one. */
 HYSTMPC_LOCAL void hystmpc_chain_go_on(const chain_stage *s, int g, int samples);
 

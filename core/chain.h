@@ -65,6 +65,15 @@ HYSTMPC_API void hystmpc_chain_rest(const int *chain, const real *constants, int
                                     int parameter_rows, int directions, const real *seeds, real *x, real *m, real *room);
 HYSTMPC_API int hystmpc_chain_rest_room(const int *chain, int stage);
 
+/* States x (S, N) at rest of a chain in series, of one input and one output, and their derivatives m (S, N, D), under the
+ * commands u (N) with the output y (N), or the nearest one it can have. Every operator rests at the output of the one
+ * before it, stage `core` at the angle for which the chain has that output one sample later. parameters (P), seeds (P, D);
+ * memory as chain_settle_bytes. */
+HYSTMPC_API void hystmpc_chain_settle(const int *chain, const real *constants, const real *kept, int core, int rows,
+                                      const real *u, const real *y, const real *parameters, int directions,
+                                      const real *seeds, real *x, real *m, char *memory);
+HYSTMPC_API long hystmpc_chain_settle_bytes(const int *chain, int rows, int directions);
+
 /* One sample of a chain with one input and one output: the angle; x (S) moves on. Memory for this and what follows:
  * hystmpc_chain_single_bytes. */
 HYSTMPC_API real hystmpc_chain_step(const int *chain, const real *kept, real *x, real u, char *memory);

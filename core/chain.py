@@ -105,6 +105,15 @@ class ChainCode:
         }
         self._known_bytes: dict[tuple[int, ...], int] = {}
 
+    def require_one_axis(self) -> None:
+        """Refuse a chain of several inputs or outputs.
+
+        Raises:
+            ValueError: for such a chain.
+        """
+        if (self.inputs, self.outputs) != (1, 1):
+            raise ValueError(f"chain: got {self.inputs} inputs and {self.outputs} outputs, expected one of each")
+
     def prepare(self, parameters: Array, dt_s: float) -> Array:
         """Values (K, N) that parameters (P, N) and sample time [s] alone decide.
 
@@ -206,6 +215,30 @@ class ChainCode:
             seeds.shape[1], seeds, x, m, room
         )  # fmt: skip
 
+    def settle(
+        self, kept: Array, core: int, u: Array, y: Array, parameters: Array, seeds: Array
+    ) -> tuple[Array, Array]:
+        """States at rest (S, N) of the whole chain and their derivatives (S, N, D), at inputs u and outputs y (N,).
+
+        Args:
+            core: stage whose angle is sought; every other one rests at the output of the one before it.
+            parameters, seeds: (P,), and their derivative in each direction (P, D).
+
+        Raises:
+            ValueError: for a chain of several inputs or outputs.
+        """
+        self.require_one_axis()
+        rows, directions = u.size, seeds.shape[1]
+        x, m = np.empty((self.states, rows)), np.empty((self.states, rows, directions))
+        key = (rows, directions, self.states)
+        if key not in self._known_bytes:
+            self._known_bytes[key] = int(self.functions.chain_settle_bytes(self.code, rows, directions))
+        self.functions.chain_settle(
+            self.code, self.constants, kept, core, rows, u, y, parameters, directions, seeds, x, m,
+            _memory(self._known_bytes[key]),
+        )  # fmt: skip
+        return x, m
+
     def linearise(self, kept: Array, state: Array, plan: Array, known: Array | None = None) -> tuple[Array, Array]:
         """Outputs (H,) along one plan (H,), with scheduled inputs (H,), and their derivatives (H, H) by its commands.
 
@@ -258,8 +291,7 @@ class PreparedChain:
     """
 
     def __init__(self, code: ChainCode, parameters: Array, dt_s: float) -> None:
-        if (code.inputs, code.outputs) != (1, 1):
-            raise ValueError(f"chain: got {code.inputs} inputs and {code.outputs} outputs, expected one of each")
+        code.require_one_axis()
         self.code = code
         self.kept = code.prepare(np.array(parameters, dtype=np.float64).reshape(-1, 1), dt_s)
 

@@ -158,6 +158,15 @@ static void differentiate_stage(direction *d, int samples) {
     }
 }
 
+void hystmpc_chain_move_stage(const chain_run *r, const chain_stage *s, const real *seeds, int samples) {
+    direction d = {.r = r, .s = s};
+    for (d.q = 0; d.q < r->directions; d.q++) {
+        d.seeds = seeds + s->place[3] * r->directions + d.q;
+        d.moves = r->moves + s->place[2] * r->directions + d.q;
+        differentiate_stage(&d, samples);
+    }
+}
+
 /* Runs n0 ... n0 + count - 1, whose samples begin at first[0 ... count - 1] and end at first[1 ... count]. */
 typedef struct {
     const int *first;
@@ -239,16 +248,10 @@ static void differentiate_runs(const chain_run *r, const group_of_runs *c) {
         if (c->first[n + 1] - c->first[n] > longest) longest = c->first[n + 1] - c->first[n];
     for (int t0 = 0; t0 < longest; t0 += block) {
         const int samples = smaller(block, longest - t0);
-        direction d = {.r = r};
         load_block(r, c, t0, samples);
         for (const chain_stage *s = r->stage; s < r->stage + r->stages; s++) {
             hystmpc_chain_run_stage(s, g, samples, 1);
-            d.s = s;
-            for (d.q = 0; d.q < r->directions; d.q++) {
-                d.seeds = c->seeds + s->place[3] * r->directions + d.q;
-                d.moves = r->moves + s->place[2] * r->directions + d.q;
-                differentiate_stage(&d, samples);
-            }
+            hystmpc_chain_move_stage(r, s, c->seeds, samples);
         }
         store_block(r, c, t0, samples);
         for (const chain_stage *s = r->stage; s < r->stage + r->stages; s++) hystmpc_chain_go_on(s, g, samples);

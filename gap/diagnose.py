@@ -178,7 +178,7 @@ def _localisation(prepared: PreparedTrials, seed: int) -> Localisation | None:
     errors = prepared.scored(prepared.residuals(retuned))
     if not any(np.any(error) for error in errors):
         return None
-    width = prepared.decades.command * prepared.baseline.loop_width(retuned.problem.retuned(retuned.q))
+    width = prepared.decades.command * prepared.baseline.loop_width(retuned.z)
     return localise(prepared.checked.trials, errors, max(width, 0.0), seed, prepared.order == "known")
 
 
@@ -196,7 +196,7 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
     decades, units = prepared.decades, prepared.checked.trials[0].units
     nominal, retuned = (
         {name: decades.log_value(v, BASELINE_UNITS[name]) for name, v in prepared.baseline.quantities(z).items()}
-        for z in (prepared.baseline.nominal, hypothesis.problem.retuned(hypothesis.q))
+        for z in (prepared.baseline.nominal, hypothesis.z)
     )
     library = [name for name in diagnosable() if name not in findings.left_out]
     moved = moved_numbers(prepared, hypothesis, parameters) if decision.verdict == "retuned" else ()

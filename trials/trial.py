@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, final
 
@@ -164,7 +165,7 @@ class Trial:
         """Time from the first to the last sample [s]."""
         return float(self.t[-1] - self.t[0])
 
-    @property
+    @cached_property
     def dt(self) -> float:
         """Median sample interval [s]."""
         return float(np.median(np.diff(self.t)))

@@ -84,9 +84,8 @@ def drift_is_significant(validation: CrossValidation, hypothesis: Hypothesis) ->
     The rate must differ from zero in the direction of the fit without shifts.
     """
     problem = hypothesis.problem
-    values = [list(v.values()) for v in problem.effect_values(hypothesis.q)]
     terms = replace(problem.terms, shift=True)
-    shifted = validation.with_causes(problem.effects, terms, problem.retuned(hypothesis.q), [values])
+    shifted = validation.with_causes(problem.effects, terms, hypothesis.z, [hypothesis.values])
     known = uncertainty(shifted.problem, shifted.q, validation.runs)
     k = problem.size - sum(len(c.free) for c in problem.effects)
     for c in problem.effects:

@@ -248,7 +248,7 @@ def floor_of(prepared: PreparedTrials, hypothesis: Hypothesis) -> NoiseFloor:
     problem = hypothesis.problem
     residuals = prepared.residuals(hypothesis)
     if problem.terms.names:
-        residuals = [-problem.held_out_error(hypothesis.q, run) for run in prepared.everything]
+        residuals = [-error for error in problem.held_out_errors(hypothesis.q, prepared.everything)]
     floor, least = prepared.floor(residuals), prepared.rounding_deg
     return replace(floor, rmse_deg=max(floor.rmse_deg, least), noise_deg=max(floor.noise_deg, least))
 

@@ -211,11 +211,10 @@ class FinalErrors:
 
     def _between_trials(self, floor_mse: float) -> float:
         """Half of the 90 % interval due to differences between trials, relative to the closed share."""
-        shares = []
-        for run in self._prepared.counted:
-            before, after = (
-                float(np.mean(h.problem.held_out_error(h.q, run) ** 2)) for h in (self._retuned, self._chosen)
-            )
+        shares, runs = [], self._prepared.counted
+        errors = (h.held_out_errors(runs) for h in (self._retuned, self._chosen))
+        for each in zip(*errors, strict=True):
+            before, after = (float(np.mean(error**2)) for error in each)
             if before > _GAP_FACTOR * floor_mse:
                 shares.append(closed_share(before, after, floor_mse))
         if len(shares) < 2:
@@ -279,18 +278,15 @@ class FinalErrors:
 
 def final_blocks(hypothesis: Hypothesis, runs: Sequence[Run]) -> Blocks:
     """Errors of a fitted hypothesis on runs outside its fit."""
-    return blocks_of([hypothesis.problem.held_out_error(hypothesis.q, run) for run in runs], runs)
+    return blocks_of(hypothesis.held_out_errors(runs), runs)
 
 
 def measured_blocks(prepared: PreparedTrials, hypothesis: Hypothesis) -> Blocks:
     """Errors on the final runs against the angles as measured, faults of the sensor included."""
     names = [run.name for run in prepared.everything]
-    errors = [
-        hypothesis.problem.held_out_error(hypothesis.q, run)
-        + (run.angle - prepared.raw[names.index(run.name)])[run.counts]
-        for run in prepared.final
-    ]
-    return blocks_of(errors, prepared.final)
+    mended = [(run.angle - prepared.raw[names.index(run.name)])[run.counts] for run in prepared.final]
+    left = hypothesis.held_out_errors(prepared.final)
+    return blocks_of([error + change for error, change in zip(left, mended, strict=True)], prepared.final)
 
 
 def _parameters(chosen: Hypothesis, prepared: PreparedTrials) -> dict[str, Mapping[str, float]]:

@@ -170,7 +170,7 @@ def remaining_curvature(hypothesis: Hypothesis, runs: Sequence[Run], floor_mse: 
     """
     angles, errors = [], []
     for run in runs:
-        theta = hypothesis.problem.angles(hypothesis.q, run)
+        theta = hypothesis.angles(run)
         rises = np.gradient(theta) >= 0
         angles.append(np.stack([theta, rises], axis=1)[run.counts])
         errors.append((run.angle - theta)[run.counts])
@@ -190,7 +190,7 @@ def slow_mse(hypothesis: Hypothesis, runs: Sequence[Run]) -> float:
     """Mean square of the remaining error after averaging over three seconds [deg^2]: slow change within trials."""
     total, count = 0.0, 0
     for run in runs:
-        error, blocks = hypothesis.problem.error(hypothesis.q, run)[0], run.blocks(_SLOW_S)
+        error, blocks = hypothesis.error(run), run.blocks(_SLOW_S)
         blocks = blocks - blocks.min()
         samples = np.bincount(blocks)
         means = np.bincount(blocks, error)[samples > 0] / samples[samples > 0]
@@ -265,7 +265,7 @@ class Jumps:
 def find_jumps(runs: Sequence[Run], retuned: Hypothesis, signs: SensorSigns) -> Jumps:
     """Detect stick-slip jumps in steady motion."""
     least = max(_NOISES * signs.noise_deg, _STEPS * signs.quantisation_deg, 1e-9)
-    simulated = [retuned.problem.angles(retuned.q, run) for run in runs]
+    simulated = [retuned.angles(run) for run in runs]
     steady = _pattern(runs, simulated, least, _UNEVEN)
     if steady.windows >= _ENOUGH:
         return steady
@@ -294,16 +294,16 @@ def _pattern(runs: Sequence[Run], simulated: Sequence[Vec], least: float, uneven
 def _windows(run: Run, simulated: Vec, least: float, uneven: float) -> Mat:
     """Ratio of measured to simulated motion, measured motion, its lead [deg] and simulated speed [deg/s] (N, 4)."""
     speed, half = np.diff(simulated), max(round(_STEADY_S / run.dt_s), 1)
-    kept = []
-    for k in range(half, speed.size - half):
-        around = speed[k - half : k + half]
-        mean = float(around.mean())
-        if mean == 0 or np.ptp(around) > uneven * abs(mean):
-            continue
-        length = max(int(np.ceil(least / abs(mean))), 2)
-        if length > half:
-            continue
-        moved, expected = (float(x[k + length] - x[k]) for x in (run.angle, simulated))
-        if expected:
-            kept.append((moved / expected, moved, (moved - expected) * np.sign(mean), abs(mean) / run.dt_s))
-    return np.array(kept, dtype=np.float64).reshape(-1, 4)
+    if speed.size <= 2 * half:
+        return np.empty((0, 4))
+    around = np.lib.stride_tricks.sliding_window_view(speed, 2 * half)[:-1]
+    mean = around.mean(axis=1)
+    size, steady = np.abs(mean), np.ptp(around, axis=1) <= uneven * np.abs(mean)
+    k = np.flatnonzero((mean != 0) & steady)
+    length = np.clip(np.ceil(least / size[k]), 2, half + 1).astype(np.intp)
+    k, length = k[length <= half], length[length <= half]  # a slower motion is too short to tell
+    at = k + half  # the window's middle
+    moved, expected = (x[at + length] - x[at] for x in (run.angle, simulated))
+    shares = np.divide(moved, expected, out=np.full(k.size, np.nan), where=expected != 0)
+    windows = np.stack([shares, moved, (moved - expected) * np.sign(mean[k]), size[k] / run.dt_s], axis=1)
+    return np.asarray(windows[expected != 0], dtype=np.float64)

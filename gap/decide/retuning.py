@@ -77,7 +77,7 @@ def retuning_of(prepared: PreparedTrials, retuned: Hypothesis, left_out_mse: flo
     """
     residuals = prepared.residuals(retuned)
     noise, form, baseline = white_noise(residuals), prepared.form_mse, prepared.baseline
-    before, after = (baseline.loop_height(z) for z in (baseline.nominal, retuned.problem.retuned(retuned.q)))
+    before, after = (baseline.loop_height(z) for z in (baseline.nominal, retuned.z))
     grown = min(max(1.0, after / before), _MOST_GROWN) if before > 0 else 1.0
     still = min(noise**2, _MOST_NOISE * form)
     problem = retuned.problem
@@ -96,7 +96,7 @@ def retuning_of(prepared: PreparedTrials, retuned: Hypothesis, left_out_mse: flo
 def width_grown(hypothesis: Hypothesis) -> float:
     """Ratio of the loop width of a hypothesis, without its effects, to that of the simulator as given."""
     baseline = hypothesis.problem.baseline
-    before, after = (baseline.loop_width(z) for z in (baseline.nominal, hypothesis.problem.retuned(hypothesis.q)))
+    before, after = (baseline.loop_width(z) for z in (baseline.nominal, hypothesis.z))
     return after / before if before > 0 else 1.0
 
 

@@ -176,7 +176,7 @@ class _ResampledVerdict:
 def _errors_on_all_runs(judged: HeldOutErrors, final: Sequence[Run]) -> HeldOutErrors:
     """Held-out errors of all runs: by the fits of the folds, on final runs by the fit to development runs."""
     hypothesis = judged.hypothesis
-    errors = tuple(hypothesis.problem.held_out_error(hypothesis.q, run) for run in final)
+    errors = hypothesis.held_out_errors(final)
     blocks = blocks_of(errors, final)
     return replace(
         judged,

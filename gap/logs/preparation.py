@@ -81,7 +81,7 @@ class PreparedTrials:
 
     def residuals(self, hypothesis: Hypothesis) -> list[Vec]:
         """Measured minus simulated angle of every run (T,) each [deg]."""
-        return [run.angle - hypothesis.problem.angles(hypothesis.q, run) for run in self.everything]
+        return [run.angle - hypothesis.angles(run) for run in self.everything]
 
     def floor(self, residuals: Sequence[Vec]) -> NoiseFloor:
         """Noise floor of residuals (T,) of every run [deg]."""

@@ -146,14 +146,9 @@ def _fitted_with(attribution: Attribution, names: frozenset[str]) -> Hypothesis:
 
 def _fit_with(findings: Findings, base: Hypothesis, name: str) -> Hypothesis | None:
     """Best variant of an effect added to a hypothesis; None if it is no operator."""
-    problem, validation = base.problem, findings.attribution.validation
-    z, there = problem.retuned(base.q), [list(values.values()) for values in problem.effect_values(base.q)]
+    validation = findings.attribution.validation
     library = usable_effects(findings.prepared, validation.baseline.effects, (), validation.runs)
-    made = [
-        validation.with_causes((*problem.effects, c), problem.terms, z, [[*there, start] for start in c.starts])
-        for c in library
-        if c.effect == name
-    ]
+    made = [validation.with_one_more(base, candidate) for candidate in library if candidate.effect == name]
     return min(made, key=lambda h: h.mse, default=None)
 
 
@@ -164,7 +159,7 @@ def _families(findings: Findings) -> dict[str, Hypothesis]:
     tried = {next(iter(j.hypothesis.effects)): j.hypothesis for j in singles if j.hypothesis.problem.effects}
     if len(tried) >= 2:
         return dict(list(tried.items())[:_MOST])
-    baseline, z = findings.prepared.baseline, retuned.problem.retuned(retuned.q)
+    baseline, z = findings.prepared.baseline, retuned.z
     made: dict[str, Hypothesis] = {}
     for c in usable_effects(findings.prepared, (), findings.left_out, attribution.validation.runs):
         if c.effect in _TYPICAL and c.effect not in made:

@@ -205,7 +205,9 @@ def _trials(findings: Findings, floor_deg: float) -> tuple[TrialRuns, ...]:
     final = {run.name: int(np.flatnonzero(run.counts)[0]) for run in prepared.final}
     made, unit = [], prepared.decades.angle
     motions, starts = prepared.checked.excitation.motions, [int(np.argmax(run.counts)) for run in prepared.counted]
-    for trial, run, motion, start in zip(prepared.checked.trials, prepared.everything, motions, starts, strict=True):
+    errors = chosen.held_out_errors(prepared.everything)
+    trials = zip(prepared.checked.trials, prepared.everything, motions, starts, errors, strict=True)
+    for trial, run, motion, start, error in trials:
         role: Role = "final" if run.name in final else "fit"
         made.append(
             TrialRuns(
@@ -213,8 +215,8 @@ def _trials(findings: Findings, floor_deg: float) -> tuple[TrialRuns, ...]:
                 role=role,
                 motion=motion,
                 nominal=unit * retuned.problem.angles(retuned.problem.as_given, run),
-                retuned=unit * retuned.problem.angles(retuned.q, run),
-                with_effects=unit * (run.angle + chosen.problem.held_out_error(chosen.q, run)),
+                retuned=unit * retuned.angles(run),
+                with_effects=unit * (run.angle + error),
                 floor_deg=floor_deg,
                 start=final.get(run.name, start),
             )

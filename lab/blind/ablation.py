@@ -127,7 +127,7 @@ def _judged(trials: Sequence[Trial], simulator: Simulator) -> tuple[HeldOutError
     prepared = prepare(trials, simulator, ordered=False)
     validation = CrossValidation(prepared.baseline, prepared.everything)
     retuned = validation.retuned()
-    errors = [run.angle - retuned.problem.angles(retuned.q, run) for run in prepared.everything]
+    errors = [run.angle - retuned.angles(run) for run in prepared.everything]
     checked = prepared.checked
     floor = find_floor(checked.trials, errors, checked.dt, checked.excitation.repeats)
     return validation.judge(retuned), prepared.decades.angle * floor.rmse_deg, prepared.decades.angle

@@ -149,7 +149,7 @@ def _identified(
 def auto_chain(fit: AutoFit) -> Chain:
     """Identified device as a chain, in the units of the log."""
     hypothesis = fit.choice.hypothesis
-    return fit.decades.log_chain(hypothesis.problem.fitted_chain(hypothesis.q))
+    return fit.decades.log_chain(hypothesis.chain)
 
 
 def _with_meaning(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -21,6 +20,7 @@ from ..start import search_box
 from .baseline import FreeCoreBaseline
 from .chain_fit import no_result
 from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain
+from .least_squares import side_by_side
 from .parts import CoreForm, Form, core_forms, dead_time, device_parts, plain_of, split_delay, straight, whole_delay
 from .problem import Problem, TrialTerms
 from .runs import Blocks, Run, angle_range, command_range
@@ -36,7 +36,6 @@ _CORE = "core"
 _NEXT_ROUND = 0.5  # ratio of the durations of successive rounds
 _AT_LAST = 5  # duration of the last fit and the table of parts, in fits
 _A_SAMPLE = 0.75  # samples: a delay of half a sample comes from the hold
-_THREADS = 2  # alternatives that are fitted in parallel
 
 
 # Thresholds, chosen on development data; `_CLEAR_SHARE` on short real logs, too.
@@ -231,7 +230,7 @@ class AutoSearch:
         known = {_names(form): form for part in self._parts for form in part.forms}
         forms = {name: near(known[_names(form)]) for name, form in choice.forms.items()}
         core = next(core for core in self._cores if core.label == choice.core.label)
-        z = choice.hypothesis.problem.retuned(choice.hypothesis.q)
+        z = choice.hypothesis.z
         core = replace(core, starts=(core.starts[0].with_values(z.tolist()),))
         present = self._judged(core, forms, self._fitted(core, forms, None))
         drives = self._alternatives(drive.name, present)
@@ -327,14 +326,13 @@ class AutoSearch:
         def fitted(alternative: tuple[CoreForm, dict[str, Form]]) -> tuple[CoreForm, dict[str, Form], Hypothesis]:
             return (*alternative, self._fitted(*alternative, present))
 
-        with ThreadPoolExecutor(_THREADS) as pool:  # free runs are compiled and let other threads run
-            fits = []
-            for fit in pool.map(fitted, made):
-                fits.append(fit)
-                self._tell(_points(fit[0], fit[1], present))
-            least = min(fit.mse for *_, fit in fits)
-            near = [fit for fit in fits if fit[2].mse < _NEAR * least]
-            choices = list(pool.map(lambda fit: self._choice(*fit), near))
+        fits = []
+        for fit in side_by_side(fitted, made):
+            fits.append(fit)
+            self._tell(_points(fit[0], fit[1], present))
+        least = min(fit.mse for *_, fit in fits)
+        near = [fit for fit in fits if fit[2].mse < _NEAR * least]
+        choices = list(side_by_side(lambda fit: self._choice(*fit), near))
         best = min(choices, key=lambda choice: choice.judged.mse)
         judged = {id(choice.hypothesis): choice for choice in choices}
         selected = best
@@ -360,9 +358,8 @@ class AutoSearch:
         starts = [[held[c.label]] if c.label in held else [list(start) for start in c.starts] for c in effects]
         values = [list(chosen) for chosen in itertools.product(*starts)]
         if present is not None and present.core.label == core.label:
-            known = present.hypothesis.problem
-            validation = replace(validation, baseline=known.baseline)
-            return validation.with_causes(effects, terms, known.retuned(present.hypothesis.q), values)
+            validation = replace(validation, baseline=present.hypothesis.problem.baseline)
+            return validation.with_causes(effects, terms, present.hypothesis.z, values)
         chains = core.starts
         if isinstance(core.starts[0].core, Line):
             chains = (self._line_behind([c for c in effects if c not in core.curve], values[0]),)
@@ -418,8 +415,7 @@ def _near(candidate: Candidate, values: tuple[float, ...], dt_s: float, whole_s:
 
 
 def _values(hypothesis: Hypothesis) -> dict[str, list[float]]:
-    values = hypothesis.problem.effect_values(hypothesis.q)
-    return {c.label: list(v.values()) for c, v in zip(hypothesis.problem.effects, values, strict=True)}
+    return {c.label: v for c, v in zip(hypothesis.problem.effects, hypothesis.values, strict=True)}
 
 
 def _points(core: CoreForm, forms: Mapping[str, Form], present: Choice) -> int:

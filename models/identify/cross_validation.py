@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from hystmpc.trials.types import Mat, Vec
 
+from ..chain import Chain
 from ..effects.effect import Candidate
 from .baseline import Baseline
 from .least_squares import minimise, triangle_of
@@ -42,6 +43,33 @@ class Hypothesis:
     def effects(self) -> frozenset[str]:
         """Names of the causes."""
         return frozenset((*(c.effect for c in self.problem.effects), *self.problem.terms.names))
+
+    @property
+    def z(self) -> Vec:
+        """Baseline unknowns (Z,)."""
+        return self.problem.retuned(self.q)
+
+    @property
+    def values(self) -> list[list[float]]:
+        """Free parameters of each cause, as a fit starts from them."""
+        return [list(values.values()) for values in self.problem.effect_values(self.q)]
+
+    @property
+    def chain(self) -> Chain:
+        """Chain with the fitted parameters."""
+        return self.problem.fitted_chain(self.q)
+
+    def angles(self, run: Run) -> Vec:
+        """Angles (T,) of a free run [deg]."""
+        return self.problem.angles(self.q, run)
+
+    def error(self, run: Run) -> Vec:
+        """Angle minus measurement where it counts (C,) [deg], without terms of the trial."""
+        return self.problem.error(self.q, run)[0]
+
+    def held_out_errors(self, runs: Sequence[Run]) -> tuple[Vec, ...]:
+        """Angle minus measurement of each run (C,) [deg]; terms of a trial are estimated on its other blocks."""
+        return self.problem.held_out_errors(self.q, runs)
 
     @cached_property
     def label(self) -> str:
@@ -194,21 +222,35 @@ class CrossValidation:
     ) -> Hypothesis:
         """Causes fitted jointly with the baseline, from baseline values z and several values of the effects."""
         problem = Problem(self.baseline, effects, terms)
-        fits = [fit_problem(problem, self.runs, problem.start(z, values), self.evaluations, 1e-3) for values in starts]
-        return min(fits, key=lambda fit: fit.mse)
+        return min((self._fitted(problem, problem.start(z, values)) for values in starts), key=lambda fit: fit.mse)
+
+    def _fitted(self, problem: Problem, start: Vec) -> Hypothesis:
+        """Fit from one start; a selection asks for some of them again."""
+        key = problem.effects, problem.terms, start.tobytes()
+        if key not in self._known:
+            self._known.setdefault(key, fit_problem(problem, self.runs, start, self.evaluations, 1e-3))
+        return self._known[key]
+
+    @cached_property
+    def _known(self) -> dict[tuple[object, ...], Hypothesis]:
+        """Fits by their causes and start."""
+        return {}
+
+    def with_one_more(self, base: Hypothesis, candidate: Candidate) -> Hypothesis:
+        """One more cause, from its starts and the present values of a hypothesis, fitted jointly with all others."""
+        effects, starts = (*base.problem.effects, candidate), [[*base.values, start] for start in candidate.starts]
+        return self.with_causes(effects, base.problem.terms, base.z, starts)
 
     def without(self, hypothesis: Hypothesis, dropped: AbstractSet[str]) -> Hypothesis:
         """Hypothesis refitted without some of its causes, from its present values."""
         problem = hypothesis.problem
-        values = [list(v.values()) for v in problem.effect_values(hypothesis.q)]
-        kept = [(c, v) for c, v in zip(problem.effects, values, strict=True) if c.effect not in dropped]
+        kept = [(c, v) for c, v in zip(problem.effects, hypothesis.values, strict=True) if c.effect not in dropped]
         terms = replace(
             problem.terms,
             shift=problem.terms.shift and "trial_shift" not in dropped,
             frequency_hz=0.0 if "periodic_disturbance" in dropped else problem.terms.frequency_hz,
         )
-        z = problem.retuned(hypothesis.q)
-        return self.with_causes([c for c, _ in kept], terms, z, [[v for _, v in kept]])
+        return self.with_causes([c for c, _ in kept], terms, hypothesis.z, [[v for _, v in kept]])
 
     def polished(self, hypothesis: Hypothesis) -> Hypothesis:
         """Hypothesis fitted to convergence."""
@@ -216,7 +258,7 @@ class CrossValidation:
 
     def fitted_errors(self, hypothesis: Hypothesis) -> Blocks:
         """Training errors, in the blocks of `judge`."""
-        return blocks_of([hypothesis.problem.error(hypothesis.q, run)[0] for run in self.runs], self.runs)
+        return blocks_of([hypothesis.error(run) for run in self.runs], self.runs)
 
     @cached_property
     def _splits(self) -> tuple[tuple[tuple[Run, ...], dict[int, Run]], ...]:
@@ -240,8 +282,8 @@ class CrossValidation:
         for rest, held_out in self._splits:
             q = fit_problem(problem, rest, hypothesis.q, self.evaluations, 1e-3).q if rest else hypothesis.q
             fold_q.append(q)
-            for k, run in held_out.items():
-                parts[k].append(problem.held_out_error(q, run))
+            for k, error in zip(held_out, problem.held_out_errors(q, list(held_out.values())), strict=True):
+                parts[k].append(error)
         errors = tuple(map(np.concatenate, parts))
         blocks = blocks_of(errors, self.runs)
         return HeldOutErrors(blocks.energy, blocks.samples, blocks.run, hypothesis, errors, tuple(fold_q))
@@ -276,11 +318,11 @@ def sureness(before: Blocks, after: Blocks) -> float:
 
 def _paired(difference: Vec, runs: NDArray[np.intp]) -> tuple[float, float]:
     """Sum of the differences of blocks and its standard error by their scatter within the runs."""
-    variance = 0.0
-    for k in np.unique(runs):
-        part = difference[runs == k]
-        variance += part.size * float(np.var(part, ddof=1)) if part.size > 1 else float(part[0] ** 2)
-    return float(difference.sum()), float(np.sqrt(variance))
+    size = np.bincount(runs)
+    apart = difference - (np.bincount(runs, difference) / np.maximum(size, 1))[runs]
+    squares = np.bincount(runs, apart**2) * size / np.maximum(size - 1, 1)
+    alone = difference[size[runs] == 1]
+    return float(difference.sum()), float(np.sqrt(squares.sum() + alone @ alone))
 
 
 def mean_square_difference(one: HeldOutErrors, other: HeldOutErrors) -> float:

@@ -3,112 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import final
 
 import numpy as np
 
-from hystmpc.core.chain import ChainCode
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.trial import Trial
-from hystmpc.trials.types import Index, Mask, Vec
+from hystmpc.trials.types import Index, Vec
 
 from ..chain import Chain
 from ..operators.dynamics import Delay
-from ..rest import FLAT, nearest_shown
 from ..stages import chain_code
 from ..start import Runs, search_box
 from .runs import RunsTogether, angle_range, check_trial_set, command_range, runs_to_fit
-
-Stage = tuple[ChainCode, slice, slice]
-"""One operator for the engine, and where its states and its parameters stand among those of the chain."""
-
-
-@dataclass(frozen=True, eq=False)
-class HeldRows:
-    """Settled states of N rows under constant commands, with derivatives in D directions (last: the core's angle).
-
-    Attributes:
-        state, slope: (S, N), and its derivative (S, N, D).
-        signal, by_signal: output of the last settled operator one sample later (N,), and its derivative (N, D).
-        core: angle of the core then (N,) [deg]; equal to the given one where the core can hold it.
-    """
-
-    state: Vec
-    slope: Vec
-    signal: Vec
-    by_signal: Vec
-    core: Vec
-
-    def rows(self, n: Index) -> HeldRows:
-        """Copy of some rows."""
-        return HeldRows(self.state[:, n], self.slope[:, n], self.signal[n], self.by_signal[n], self.core[n])
-
-    def put(self, n: Index, other: HeldRows) -> None:
-        """Replace rows n by those of another."""
-        self.state[:, n], self.slope[:, n] = other.state, other.slope
-        self.signal[n], self.by_signal[n], self.core[n] = other.signal, other.by_signal, other.core
-
-    @property
-    def moves(self) -> Vec:
-        """Derivative of the output by the core's angle (N,)."""
-        return self.by_signal[:, -1]
-
-    @property
-    def leads(self) -> Mask:
-        """Rows in which that derivative is not zero (N,)."""
-        return ~(np.abs(self.moves) < FLAT)
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class Settling:
-    """States at rest for one set of parameters; see `StagedChain.settled`.
-
-    Attributes:
-        kept: for every operator, the quantities that depend on parameters and sample time alone.
-        seeds: derivative of the parameters in each direction (P, D); zero in the last, the core's angle.
-    """
-
-    stages: Sequence[Stage]
-    core: int
-    values: Vec
-    kept: Sequence[Vec]
-    seeds: Vec
-
-    def rows(self, command: Vec, angle: Vec) -> HeldRows:
-        """Rows (N,) at constant commands [cmd] with output angles [deg], or the nearest possible ones."""
-        before = self._before(command)
-        return nearest_shown(angle, lambda n, at: self._held(before.rows(n), at))
-
-    def _before(self, command: Vec) -> HeldRows:
-        states, count = self.stages[-1][1].stop, self.seeds.shape[1]
-        x, m = np.empty((states, command.size)), np.zeros((states, command.size, count))
-        signal, moving = command.copy(), np.zeros((command.size, count))
-        for k in range(self.core):
-            self._pass(k, x, m, signal, moving, signal.copy(), moving.copy())
-        return HeldRows(x, m, signal, moving, np.empty(command.size))
-
-    def _held(self, before: HeldRows, core_angle: Vec) -> HeldRows:
-        """Whole rows; operators before the core do not depend on its angle and are settled only once."""
-        x, m = np.array(before.state, order="C"), np.array(before.slope, order="C")
-        signal, moving = before.signal.copy(), before.by_signal.copy()
-        by_shown = np.zeros_like(moving)
-        by_shown[:, -1] = 1.0
-        self._pass(self.core, x, m, signal, moving, core_angle, by_shown)
-        core = signal.copy()
-        for k in range(self.core + 1, len(self.stages)):
-            self._pass(k, x, m, signal, moving, signal.copy(), moving.copy())
-        return HeldRows(x, m, signal, moving, core)
-
-    def _pass(self, k: int, x: Vec, m: Vec, signal: Vec, moving: Vec, seen: Vec, by_seen: Vec) -> None:
-        """Settle one operator and replace the signal by its output."""
-        code, states, columns = self.stages[k]
-        state, slope, seeds = x[states], m[states], self.seeds[columns]
-        code.rest(0, signal, moving, seen, by_seen, self.values[columns], seeds, state, slope)
-        each = np.arange(signal.size + 1, dtype=np.intc)
-        signal[:], moving[:] = code.differentiate(self.kept[k], each, signal, moving, seeds, state, slope)
-
 
 _ROUNDING = 1e-6  # share of a store, for a delay that fills it except for rounding
 
@@ -125,17 +33,17 @@ class StagedChain:
 
     def __init__(self, chain: Chain) -> None:
         self.chain = chain
-        self._stages: list[Stage] = []
+        self._stages: list[tuple[slice, slice]] = []  # where states and parameters of each operator stand
         states = parameters = 0
         for operator in chain.operators:
             s, p = len(operator.states), len(operator.parameters)
-            self._stages.append((chain_code([operator]), slice(states, states + s), slice(parameters, parameters + p)))
+            self._stages.append((slice(states, states + s), slice(parameters, parameters + p)))
             states, parameters = states + s, parameters + p
         self._code = chain_code(chain.operators)
         self.state_size, self.parameter_count = states, parameters
         places = zip(chain.operators, self._stages, strict=True)
         self._stores = [
-            (columns.start, operator.samples) for operator, (*_, columns) in places if isinstance(operator, Delay)
+            (columns.start, operator.samples) for operator, (_, columns) in places if isinstance(operator, Delay)
         ]
         self._core = len(chain.before)
 
@@ -156,9 +64,9 @@ class StagedChain:
         m = np.empty((*x.shape, seeds.shape[1]))
         signals = [np.ascontiguousarray(signal, dtype=np.float64) for signal in (command, angle)]
         still = np.zeros((command.size, seeds.shape[1]))
-        for k, (code, state, columns) in enumerate(self._stages):
+        for k, (state, columns) in enumerate(self._stages):
             u, seen = signals[k > self._core], signals[k >= self._core]
-            code.rest(0, u, still, seen, still, p[columns], seeds[columns], x[state], m[state])
+            self._code.rest(k, u, still, seen, still, p[columns], seeds[columns], x[state], m[state])
         return x, m
 
     def simulate(self, commands: Vec, dt_s: float, states: Vec, values: Vec | None = None) -> tuple[Vec, Vec]:
@@ -189,7 +97,7 @@ class StagedChain:
 
         Unlike `rest`, every operator starts at the output of the one before it, and the core at the angle for which the
         whole chain shows the measured one: a creep, a stop or a curve behind the core is no offset. Newton's method on
-        the core's angle a (`nearest_shown`); dx/dp = dx/dp|_a - dx/da (dy/dp|_a) / (dy/da) by the implicit function
+        the core's angle a; dx/dp = dx/dp|_a - dx/da (dy/dp|_a) / (dy/da) by the implicit function
         theorem.
 
         Args:
@@ -197,12 +105,10 @@ class StagedChain:
             angle: measured (N,) [deg].
             values: parameters (P,); the chain's where left out.
         """
-        seeds = np.column_stack([self._seeds(seeds), np.zeros(self.parameter_count)])
-        settling = Settling(self._stages, self._core, self._rows(values, 1), self._kept(dt_s, values), seeds)
-        held = settling.rows(np.asarray(command, dtype=np.float64), np.asarray(angle, dtype=np.float64))
-        by, leads = held.by_signal, held.leads[:, None]
-        turned = np.divide(by, by[:, -1:], out=np.zeros_like(by), where=leads)
-        return held.state, np.ascontiguousarray((held.slope - held.slope[:, :, -1:] * turned)[:, :, :-1])
+        p, seeds = self._rows(values, 1), self._seeds(seeds)
+        self._require_room(p, dt_s)
+        u, y = (np.ascontiguousarray(rest, dtype=np.float64) for rest in (command, angle))
+        return self._code.settle(self._code.prepare(p, dt_s), self._core, u, y, p, seeds)
 
     def rollouts(self, dt_s: float, values: Vec) -> Runs:
         """Free runs of the chain with parameters (P,), for `estimated_start`."""
@@ -248,12 +154,6 @@ class StagedChain:
     def _seeds(self, seeds: Vec | None) -> Vec:
         return np.eye(self.parameter_count) if seeds is None else np.ascontiguousarray(seeds, dtype=np.float64)
 
-    def _kept(self, dt_s: float, values: Vec | None) -> list[Vec]:
-        """Quantities of every operator that depend on parameters and sample time alone."""
-        p = self._rows(values, 1)
-        self._require_room(p, dt_s)
-        return [code.prepare(p[columns], dt_s) for code, _, columns in self._stages]
-
     def _rows(self, values: Vec | None, rows: int) -> Vec:
         p = self.chain.values if values is None else np.asarray(values, dtype=np.float64)
         if p.shape not in ((self.parameter_count,), (self.parameter_count, rows)):
@@ -261,7 +161,9 @@ class StagedChain:
                 f"got parameters of shape {p.shape}, expected ({self.parameter_count},) or "
                 f"({self.parameter_count}, {rows})"
             )
-        return np.ascontiguousarray(np.broadcast_to(p[:, None] if p.ndim == 1 else p, (self.parameter_count, rows)))
+        if p.ndim == 1:
+            p = p[:, None] if rows == 1 else np.repeat(p[:, None], rows, axis=1)
+        return np.ascontiguousarray(p)
 
     def _require_room(self, p: Vec, dt_s: float) -> None:
         """Refuse a delay (P, N) that is longer than its store: all its weights would vanish."""

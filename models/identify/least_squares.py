@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numpy as np
@@ -14,11 +15,12 @@ from hystmpc.trials.types import Mat, Vec
 
 P = ParamSpec("P")
 R = TypeVar("R")
-
+T = TypeVar("T")
 
 _JITTER = 1e-13
 _DIVERGED = 1e9  # in working units
 _MANY = 10_000  # samples
+_THREADS = 2
 
 
 def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
@@ -30,6 +32,15 @@ def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
             return function(*args, **kwargs)
 
     return limited
+
+
+def side_by_side(function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
+    """Results of independent fits, in order, two at a time: the engine's calls let other threads run."""
+    pool = ThreadPoolExecutor(_THREADS)
+    try:
+        yield from pool.map(function, items)
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def minimise(evaluate: Callable[[Vec], tuple[Vec, Mat]], start: Vec, bounds: tuple[Vec, Vec], **options: Any) -> Vec:

@@ -203,8 +203,11 @@ class Problem:
 
     def retuned(self, q: Vec) -> Vec:
         """Baseline unknowns z (Z,) at unknowns q."""
+        return self._retuned(self.plain(q))
+
+    def _retuned(self, values: Vec) -> Vec:
         z = self.baseline.nominal.copy()
-        z[self._active] = self.plain(q)[: self._z]
+        z[self._active] = values[: self._z]
         return z
 
     def effect_values(self, q: Vec) -> list[dict[str, float]]:
@@ -243,11 +246,16 @@ class Problem:
         left = self.terms.projected(run, theta[run.scored], both[run.scored])
         return left[:, -1], left[:, :-1]
 
-    def held_out_error(self, q: Vec, run: Run) -> Vec:
-        """Angle minus measurement where it counts (C,); terms of the trial are estimated on other blocks."""
-        theta, both = self._pass(q, RunsTogether.of([run]))
-        scored = both[run.scored]
-        return self.terms.cross_fitted(run, theta[run.scored], scored[:, -1], scored[:, :-1])
+    def held_out_errors(self, q: Vec, runs: Sequence[Run]) -> tuple[Vec, ...]:
+        """Angle minus measurement where each run counts (C,); terms of a trial are estimated on its other blocks."""
+        errors = []
+        for together in RunsTogether.groups(runs):
+            theta, both = self._pass(q, together)
+            for run, at in together.each():
+                scored = both[at][run.scored]
+                error = np.ascontiguousarray(scored[:, -1])  # a view would keep all derivatives
+                errors.append(self.terms.cross_fitted(run, theta[at][run.scored], error, scored[:, :-1]))
+        return tuple(errors)
 
     def products(self, q: Vec, together: RunsTogether, white: Vec = AS_IT_IS) -> tuple[Vec, list[Vec]]:
         """Products of derivatives and errors in one pass over many runs, derivatives first and the error last.
@@ -314,7 +322,7 @@ class Problem:
     def _values_at(self, q: Vec) -> tuple[Vec, Vec]:
         values = self.plain(q)
         p, slope = self._given.copy(), np.zeros((self._given.size, q.size))
-        core, by_z = self.baseline.core_values(self.retuned(q))
+        core, by_z = self.baseline.core_values(self._retuned(values))
         p[self._core], slope[self._core, : self._z] = core, (by_z * self.baseline.scale)[:, self._active]
         for k, (freedom, indices) in enumerate(self._freedoms, self._z):
             p[indices], slope[indices, k] = values[k], freedom.scale or values[k]

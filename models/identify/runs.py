@@ -126,8 +126,8 @@ class RunsTogether:
     @classmethod
     def groups(cls, runs: Sequence[Run]) -> tuple[RunsTogether, ...]:
         """Concatenate runs in groups whose derivatives fit in a processor's cache."""
-        groups, size = [[runs[0]]], runs[0].command.size
-        for run in runs[1:]:
+        groups, size = list[list[Run]](), _GROUP
+        for run in runs:
             size += run.command.size
             if size > _GROUP:
                 groups.append([])
@@ -377,9 +377,9 @@ def whitening(errors: Sequence[Vec]) -> Vec:
 
 
 def whitened(signal: Vec, white: Vec) -> Vec:
-    """Filtered signal (T, ...) of one run; zero in the first samples, which lack a past."""
+    """Filtered signal (T, ...) of one run; zero in the first samples, which lack a past. A filter begins with 1."""
     if white.size == 1:
-        return white[0] * signal
+        return signal
     left = np.asarray(lfilter(white, [1.0], signal, axis=0))
     left[: white.size - 1] = 0.0
     return left

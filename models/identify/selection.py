@@ -12,6 +12,7 @@ import numpy as np
 from ..effects.catalogue import EFFECTS
 from ..effects.effect import Candidate
 from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain, sureness
+from .least_squares import side_by_side
 from .motion_lines import motion_frequencies, strongest_line
 from .problem import Problem, TrialTerms
 from .timing import TIMING, by_timing, timing_rivals
@@ -115,6 +116,10 @@ class _Judged:
     def judged(self, hypothesis: Hypothesis) -> HeldOutErrors:
         return self.tried[hypothesis.effects]
 
+    def all_judged(self, hypotheses: Sequence[Hypothesis]) -> list[HeldOutErrors]:
+        """Errors of several hypotheses."""
+        return [self.judged(hypothesis) for hypothesis in hypotheses]
+
     def known(self, names: frozenset[str]) -> HeldOutErrors | None:
         """Errors of the best hypothesis with these effects; None where none was judged yet."""
         return self.tried.get(names)
@@ -149,7 +154,7 @@ class _Search:
         return current
 
     def _best_addition(self, current: HeldOutErrors) -> HeldOutErrors | None:
-        judged = [self._trials.judged(hypothesis) for hypothesis in self._trials.additions(current.hypothesis)]
+        judged = self._trials.all_judged(self._trials.additions(current.hypothesis))
         worthy = [j for j in judged if self._worth_adding(current, j)]
         if not worthy:
             return None
@@ -266,13 +271,17 @@ class _Fits(_Judged):
         return tried.hypothesis if refitted.mse >= (1 - _SAME_FIT) * tried.hypothesis.mse else refitted
 
     def judged(self, hypothesis: Hypothesis) -> HeldOutErrors:
-        known = self.tried.get(hypothesis.effects)
-        if known is not None and known.hypothesis is hypothesis:
-            return known
-        judged = self._validation.judge(hypothesis)
-        if known is None or judged.mse < known.mse:
-            self.tried[hypothesis.effects] = judged
-        return judged
+        return self.all_judged([hypothesis])[0]
+
+    def all_judged(self, hypotheses: Sequence[Hypothesis]) -> list[HeldOutErrors]:
+        known = {h: j for h in hypotheses if (j := self.tried.get(h.effects)) is not None and j.hypothesis is h}
+        new = [hypothesis for hypothesis in hypotheses if hypothesis not in known]
+        for hypothesis, judged in zip(new, side_by_side(self._validation.judge, new), strict=True):
+            best = self.tried.get(hypothesis.effects)
+            if best is None or judged.mse < best.mse:
+                self.tried[hypothesis.effects] = judged
+            known[hypothesis] = judged
+        return [known[hypothesis] for hypothesis in hypotheses]
 
     def additions(self, base: Hypothesis) -> list[Hypothesis]:
         """Best variant of every effect that is not yet in the base, the most promising first."""
@@ -281,25 +290,20 @@ class _Fits(_Judged):
         return self._added[base]
 
     def _fitted_additions(self, base: Hypothesis) -> list[Hypothesis]:
-        z = base.problem.retuned(base.q)
-        there = [list(values.values()) for values in base.problem.effect_values(base.q)]
         best: dict[str, Hypothesis] = {}
         predicted: dict[str, float] = {}
         reached: dict[Candidate, float] = {}
-        for k, candidate in enumerate(self._candidates):
-            self._progress(k / len(self._candidates), candidate.label)
-            if candidate.effect in base.effects:
-                continue
-            effects = (*base.problem.effects, candidate)
-            starts = [[*there, start] for start in candidate.starts]
-            made = self._validation.with_causes(effects, base.problem.terms, z, starts)
+        tried = [candidate for candidate in self._candidates if candidate.effect not in base.effects]
+        fits = side_by_side(lambda candidate: self._validation.with_one_more(base, candidate), tried)
+        for k, (candidate, made) in enumerate(zip(tried, fits, strict=True)):
+            self._progress(k / len(tried), candidate.label)
             reached[candidate] = made.mse * self._expected(len(candidate.free))
             if candidate.effect not in best or reached[candidate] < predicted[candidate.effect]:
                 best[candidate.effect], predicted[candidate.effect] = made, reached[candidate]
         if not base.effects:
             self._candidates = _favourites(reached, self._settings.variants)
         for terms in self._terms(base):
-            made = self._validation.with_causes(base.problem.effects, terms, z, [there])
+            made = self._validation.with_causes(base.problem.effects, terms, base.z, [base.values])
             name = next(name for name in terms.names if name not in base.problem.terms.names)
             if name not in best or made.mse < self._settings.width_share * best[name].mse:
                 best[name] = made
@@ -323,7 +327,7 @@ class _Fits(_Judged):
             made += [replace(terms, shift=True, width=width)] if width >= 0 else []
         if not terms.frequency_hz and "periodic_disturbance" not in self._without:
             runs, settings = list(self._validation.runs), self._settings
-            errors = [base.problem.error(base.q, run)[0] for run in runs]
+            errors = [base.error(run) for run in runs]
             line = strongest_line(runs, errors, settings.lowest_hz, settings.highest_hz)
             if line > 0:
                 is_motion = bool(motion_frequencies(runs, np.array([2 * line]))[0])

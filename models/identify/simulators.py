@@ -184,7 +184,7 @@ def corrected_simulator(
         decades: units in which the simulator was fitted and the runs are; the trials are in those of the log.
         skip_first_flexure: whether the trials counted from their first reversal on only.
     """
-    chain = decades.log_chain(chosen.problem.fitted_chain(chosen.q))
+    chain = decades.log_chain(chosen.chain)
     disturbance = _disturbance(chosen, runs[-1], runs[-1].dt_s, decades)
     if disturbance is not None:
         chain = replace(chain, after=(*chain.after, disturbance))
@@ -219,7 +219,7 @@ def network_effects(
         effects.append(effect_spec(PlacedEffect(EFFECTS[disturbance.name], "output", disturbance)))
     if not effects:
         return {}
-    z = chosen.problem.retuned(chosen.q)
+    z = chosen.z
     content: dict[str, Any] = {
         "format": _FORMAT,
         "note": (

@@ -11,6 +11,7 @@ from hystmpc.trials.types import Vec
 
 from ..effects.effect import Candidate
 from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, InParts, fit_problem, sureness
+from .least_squares import side_by_side
 from .runs import Blocks, Run, blocks_of, whitened, whitening
 
 TIMING = frozenset({"lag", "delay", "rate_dependence"})
@@ -41,23 +42,29 @@ def timing_rivals(
         return {}
     late_s = next(v for name, v in delays[0].items() if name.endswith("_s"))
     others = rest or chosen
-    values = list(zip(others.problem.effects, others.problem.effect_values(others.q), strict=True))
-    kept = [(c, list(v.values())) for c, v in values if c.effect not in TIMING]
-    z, terms = others.problem.retuned(others.q), chosen.problem.terms
-    fitted: dict[str, list[tuple[Candidate, Hypothesis]]] = {}
-    for candidate in (c for c in candidates if c.effect in TIMING and c.free):
+    kept = [(c, v) for c, v in zip(others.problem.effects, others.values, strict=True) if c.effect not in TIMING]
+
+    def fit(candidate: Candidate) -> Hypothesis:
         effects = (*(c for c, _ in kept), candidate)
         starts = [[*(v for _, v in kept), start] for start in (candidate.starts[0], _late(candidate, late_s))]
-        made = validation.with_causes(effects, terms, z, starts)
+        return validation.with_causes(effects, chosen.problem.terms, others.z, starts)
+
+    def compared(form: tuple[Candidate, Hypothesis]) -> tuple[Hypothesis, InParts]:
+        candidate, h = form
+        return h, InParts(_held_out(validation, h), _quick(validation, h, white), len(candidate.free))
+
+    tried = [candidate for candidate in candidates if candidate.effect in TIMING and candidate.free]
+    fitted: dict[str, list[tuple[Candidate, Hypothesis]]] = {}
+    for candidate, made in zip(tried, side_by_side(fit, tried), strict=True):
         fitted.setdefault(candidate.effect, []).append((candidate, made))
     best = min((h for forms in fitted.values() for _, h in forms), key=lambda h: h.mse)
-    white = whitening([best.problem.error(best.q, run)[0] for run in validation.runs])
+    white = whitening([best.error(run) for run in validation.runs])
     hypotheses = {}
     for effect, forms in fitted.items():
         forms = sorted(forms, key=lambda form: form[1].mse)[:_FORMS]
-        compared = [(h, InParts(_held_out(validation, h), _quick(validation, h, white), len(c.free))) for c, h in forms]
-        hypothesis, parts = min(compared, key=lambda pair: float(pair[1].held_out.sum()))
-        quickest = min((pair for _, pair in compared), key=lambda pair: pair.expected)
+        pairs = list(side_by_side(compared, forms))
+        hypothesis, parts = min(pairs, key=lambda pair: float(pair[1].held_out.sum()))
+        quickest = min((pair for _, pair in pairs), key=lambda pair: pair.expected)
         hypotheses[effect] = hypothesis, InParts(parts.held_out, quickest.quick, quickest.free)
     return hypotheses
 
@@ -77,9 +84,9 @@ def _held_out(validation: CrossValidation, hypothesis: Hypothesis) -> Vec:
         fitted, judged = ([_parts(run, odd) for run in runs] for odd in (seen, 1 - seen))
         usable = [run for run in fitted if run.counts.any()]
         q = fit_problem(problem, usable, hypothesis.q, validation.evaluations, 1e-3).q
-        for error, run in zip(errors, judged, strict=True):
-            if run.counts.any():
-                error[run.counts] = problem.held_out_error(q, run)
+        scored = [(error, run) for error, run in zip(errors, judged, strict=True) if run.counts.any()]
+        for (error, run), left in zip(scored, problem.held_out_errors(q, [run for _, run in scored]), strict=True):
+            error[run.counts] = left
     return blocks_of([e[run.counts] for e, run in zip(errors, runs, strict=True)], runs).energy
 
 

@@ -26,7 +26,7 @@ ALL = sorted(path.name for path in FOLDER.glob("*.c") if path.name != "loop.c")
 WARNINGS = ["-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdouble-promotion", "-Wstrict-prototypes"]
 STRICT = ["-std=c99", *WARNINGS, "-Werror", "-Wno-unused-function", "-Wno-psabi"]
 SHARED = ["-std=c99", "-O1", "-ffp-contract=off", "-fPIC", "-shared", "-DHYSTMPC_LOCAL=static"]
-CHAIN = ("program.c", "chain.c", "slopes.c", "rest.c", "inverse.c")
+CHAIN = ("program.c", "chain.c", "slopes.c", "rest.c", "settle.c", "inverse.c")
 every_compiler = pytest.mark.parametrize(
     "compiler",
     [

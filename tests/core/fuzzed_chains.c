@@ -217,6 +217,18 @@ static void run_rest(const int *c, const double *numbers) {
     }
 }
 
+/* The whole chain at rest, its core at any stage or none. */
+static void run_settled(const int *c, const double *numbers, const double *parameters, const double *kept, int rows) {
+    const long d = 2, bytes = hystmpc_chain_settle_bytes(c, rows, (int)d);
+    if (!fits(bytes) || !fits(8L * rows * c[1] * d)) return;
+    double *u = any_numbers(rows), *y = any_numbers(rows), *at = any_numbers(d * c[2]);
+    double *x = rooms((long)rows * c[1]), *m = rooms(d * rows * c[1]);
+    char *memory = room_of((size_t)bytes);
+    hystmpc_chain_settle(c, numbers, kept, (int)below((unsigned)c[0] + 2) - 1, rows, u, y, parameters, (int)d, at, x, m,
+                         memory);
+    free(u), free(y), free(at), free(x), free(m), free(memory);
+}
+
 /* 1 if the check lets it through. */
 static int try_block(const block *b) {
     const block own = copy_of(b);
@@ -227,7 +239,10 @@ static int try_block(const block *b) {
         run_free(c, own.numbers, parameters, 1 + (int)below(5), 1 + (int)below(below(4) ? 12 : 300), (int)below(2));
         differentiate(c, kept, 1 + (int)below(7), (int)below(below(4) ? 12 : 300), 1 + (int)below(3));
         run_plans(c, kept, 1 + (int)below(12));
-        if (c[5] == 1 && c[6] == 1) run_axis(c, kept, 1 + (int)below(12));
+        if (c[5] == 1 && c[6] == 1) {
+            run_axis(c, kept, 1 + (int)below(12));
+            run_settled(c, own.numbers, parameters, kept, 1 + (int)below(40));
+        }
         run_rest(c, own.numbers);
         free(parameters), free(kept), free(room);
     }

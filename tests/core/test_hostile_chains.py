@@ -22,7 +22,8 @@ from ..sanitized import said_under_sanitizers
 from .test_vectors import two_axes
 
 PROGRAM = Path(__file__).with_name("fuzzed_chains.c")
-FILES = [f"{name}.c" for name in ["check", "program", "chain", "slopes", "rest", "inverse", "follow", "drive", "moves"]]
+NEEDED = ("check", "program", "chain", "slopes", "rest", "settle", "inverse", "follow", "drive", "moves")
+FILES = [f"{name}.c" for name in NEEDED]
 BLOCKS = 3000
 HEAD = 19
 STATES, INPUTS, PARAMETERS, OUTPUTS, KEPT, ROWS, SLOPES, GROUPS, REGISTERS, SINGLE = range(1, 11)
@@ -147,6 +148,8 @@ def test_one_axis_is_asked_for_where_the_engine_reads_one() -> None:
     chain, p = two_axes()
     with pytest.raises(ValueError, match="got 3 inputs and 2 outputs, expected one of each"):
         PreparedChain(chain, p, 0.01)
+    with pytest.raises(ValueError, match="got 2 inputs and 2 outputs, expected one of each"):
+        chain.settle(np.zeros((chain.kept, 1)), 0, np.zeros(1), np.zeros(1), p, np.zeros((p.size, 0)))
     with pytest.raises(ValueError, match="got 3 parameters, expected"):
         PreparedChain(CODE[0], np.zeros(3), 0.01)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,6 +15,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from hystmpc.models.identify.cross_validation import HeldOutErrors, Hypothesis, gain, sureness
+from hystmpc.models.identify.least_squares import side_by_side
 from hystmpc.models.identify.problem import TrialTerms
 from hystmpc.models.identify.runs import Blocks
 from hystmpc.models.identify.selection import OF_SINGLE_TRIALS, SelectionSettings, reselect, select
@@ -108,6 +110,9 @@ class Fitted:
         left = {frozenset({"lag"}): 4.0, frozenset({"slack"}): 6.0, frozenset({"lag", "slack"}): 0.1}
         return self._made(effects, left.get(frozenset(names), 12.0))
 
+    def with_one_more(self, base: Hypothesis, candidate: Any) -> Hypothesis:
+        return self.with_causes((*base.problem.effects, candidate), None, None, None)
+
     def without(self, hypothesis: Hypothesis, dropped: set[str]) -> Hypothesis:
         effects = [c for c in hypothesis.problem.effects if c.effect not in dropped]
         known = self.with_causes(effects, None, None, None)
@@ -199,3 +204,34 @@ def test_an_error_that_grows_is_never_sure_to_fall(growth: float, unit: float) -
     run = np.arange(BLOCKS) // 6
     energy, samples = unit * (1.0 + np.arange(BLOCKS) % 5), np.full(BLOCKS, SAMPLES)
     assert sureness(Blocks(energy, samples, run), Blocks(growth * energy, samples, run)) < 0
+
+
+def test_fits_side_by_side_come_in_their_order_and_an_error_ends_them() -> None:
+    begun: list[int] = []
+    both = threading.Barrier(2)
+
+    def fit(k: int) -> int:
+        begun.append(k)
+        if k < 2:
+            both.wait(timeout=60.0)  # the first two wait for each other
+        if k == 3:
+            raise ValueError("fit 3")
+        return k
+
+    results = side_by_side(fit, range(1000))
+    assert [next(results) for _ in range(3)] == [0, 1, 2]
+    with pytest.raises(ValueError, match="fit 3"):
+        next(results)
+    assert len(begun) < 1000
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_a_gain_is_the_sum_of_the_falls_and_its_error_their_scatter_within_runs(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    run = np.sort(random.choice([0, 2, 3, 7], random.integers(1, 12)))  # runs may be missing, or have one block
+    before, after = (Blocks(random.uniform(0, 9, run.size), np.full(run.size, SAMPLES), run) for _ in range(2))
+    parts = [(before.energy - after.energy)[run == k] for k in np.unique(run)]
+    variance = sum(float(p[0] ** 2) if p.size == 1 else p.size * float(np.var(p, ddof=1)) for p in parts)
+    total = SAMPLES * run.size
+    expected = sum(float(part.sum()) for part in parts) / total, np.sqrt(variance) / total
+    np.testing.assert_allclose(gain(before, after), expected, rtol=1e-9, atol=1e-12)
