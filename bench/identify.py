@@ -33,8 +33,8 @@ from hystmpc.trials.check import Severity, check
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.errors import FitError, LogError
 from hystmpc.trials.files import write_atomically
-from hystmpc.trials.read import at_rate, read_trials
-from hystmpc.trials.recording import require_recorded
+from hystmpc.trials.read import at_rate
+from hystmpc.trials.recording import recorded_trials
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress
 
@@ -106,10 +106,7 @@ def check_trials(subject: Subject) -> TrialCheck:
 
 def uniform_trials(subject: Subject) -> list[Trial]:
     """Recordings resampled to the rate of the device."""
-    recorded = read_trials(subject.trials)
-    for trial in recorded:
-        require_recorded(trial)
-    return at_rate(recorded, subject.rate_hz)
+    return at_rate(recorded_trials(subject.trials), subject.rate_hz)
 
 
 Row = tuple[str, str, Figure, Figure]

@@ -130,22 +130,16 @@ def clock_words(seconds: float | None) -> str:
 @final
 @dataclass
 class Computation:
-    """State of one computation.
-
-    Attributes:
-        share: completed share of the steps, None if unknown.
-        began: start time [s].
-        said: time of its last printed line [s]; `stage` is the first word of that line's note.
-    """
+    """State of one computation."""
 
     title: str
-    began: float
+    began: float  # start time [s]
     left: TimeLeft
     total: float | None = None
-    share: float | None = None
+    share: float | None = None  # completed share of the steps, None if unknown
     note: str = ""
     reported: bool = False
-    said: float | None = None
+    said: float | None = None  # time of its last printed line [s]; `stage` is the first word of that line's note
     stage: str = ""
 
     def line(self, now: float) -> str | None:

@@ -93,17 +93,11 @@ _STOOD = 0.02  # of the range of the command: it did not move over a gap
 
 @dataclass(frozen=True, eq=False)
 class LogClock:
-    """Time stamps of a log, with the wrap of their counter and their unit.
+    """Time stamps of a log, with the wrap of their counter and their unit."""
 
-    Attributes:
-        t: stamps [s] as read, after removal of the wraps of a counter, (T,).
-        wrap: of the counter, in `unit`.
-        unit: unit in the log, a key of `SECONDS`.
-    """
-
-    t: Vec
-    wrap: CounterWrap | None
-    unit: str
+    t: Vec  # stamps [s] as read, after removal of the wraps of a counter, (T,)
+    wrap: CounterWrap | None  # of the counter, in `unit`
+    unit: str  # unit in the log, a key of `SECONDS`
     interval: Interval | None
     suspicion: SuspectedUnit | None
 

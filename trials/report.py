@@ -38,14 +38,8 @@ def _style() -> mpl.RcParams:
 PALETTE: tuple[str, ...] = tuple(_style()["axes.prop_cycle"].by_key()["color"])
 MEASURED, MODEL, COMMAND, *_accents, REFERENCE = PALETTE
 ACCENTS = tuple(_accents)
-DASHES: tuple[Any, ...] = (
-    "-",
-    (0, (6, 1.5)),
-    (0, (1.5, 1)),
-    (0, (6, 1.5, 1.5, 1.5)),
-    (0, (3, 1)),
-    (0, (6, 1.5, 1.5, 1.5, 1.5, 1.5)),
-)
+_STROKES = (6, 1.5), (1.5, 1), (6, 1.5, 1.5, 1.5), (3, 1), (6, 1.5, 1.5, 1.5, 1.5, 1.5)
+DASHES: tuple[Any, ...] = ("-", *((0, strokes) for strokes in _STROKES))
 """Line styles that distinguish overlapping lines without colour."""
 
 
@@ -59,7 +53,7 @@ class StyledFigure(Figure):
 @contextmanager
 def new_figure(width: float = 7.0, height: float = 3.2) -> Iterator[StyledFigure]:
     """Context with a new figure of a size [inch] in the style of the project, without pyplot and without a display."""
-    with mpl.rc_context(_style()):
+    with style():
         yield StyledFigure(figsize=(width, height))
 
 
@@ -185,11 +179,7 @@ def _plots(pieces: Sequence[Piece], heading: str = "figure") -> Iterator[tuple[s
 
 
 def figure_svg(figure: Figure, prefix: str = "") -> str:
-    """Figure as an `<svg>` element for a page.
-
-    Args:
-        prefix: put before every id, so that the figures of one page do not refer to each other's parts.
-    """
+    """Figure as an `<svg>` element; the prefix of its ids keeps the figures of one page apart."""
     _print_as_it_is(figure)
     three_ticks(figure)
     out = io.StringIO()

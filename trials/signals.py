@@ -35,17 +35,11 @@ _STEP = re.compile(r"\.?([^.\[\]]+)|\[([^\[\]]+)\]")
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """One logged signal with its time stamps.
+    """One logged signal with its time stamps."""
 
-    Attributes:
-        t: time stamps [s], (T,); not-a-number throughout for a log without any.
-        values: as logged, (T,); not-a-number for null.
-        left_out: mask of samples with a missing-value code, (T,); None for none.
-    """
-
-    t: Vec
-    values: Vec
-    left_out: NDArray[np.bool_] | None = None
+    t: Vec  # time stamps [s], (T,); not-a-number throughout for a log without any
+    values: Vec  # as logged, (T,); not-a-number for null
+    left_out: NDArray[np.bool_] | None = None  # mask of samples with a missing-value code, (T,); None for none
 
 
 class SignalLog:
@@ -118,16 +112,11 @@ class UncheckedLog:
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Cells of a table behind the samples of a log.
-
-    Attributes:
-        names: columns of the log behind `t`, `command` and `angle`.
-        rows: row of the table of each sample; None if every row is a sample.
-    """
+    """Cells of a table behind the samples of a log."""
 
     table: LogTable
-    names: Mapping[str, str]
-    rows: Index | None = None
+    names: Mapping[str, str]  # columns of the log behind `t`, `command` and `angle`
+    rows: Index | None = None  # row of the table of each sample; None if every row is a sample
 
     def locate(self, sample: int, signal: str) -> tuple[int, str]:
         """Row, 1-based as an editor shows it, and text of a sample of `t`, `command` or `angle`."""

@@ -38,18 +38,12 @@ _DECLARED = re.compile("sep=([^ ])", re.IGNORECASE)  # the first line of a file 
 
 @dataclass(frozen=True)
 class Grid:
-    """Location of a table among rows of text or of a sheet.
+    """Location of a table among rows of text or of a sheet."""
 
-    Attributes:
-        delimiter: of the cells; empty if they are separate already.
-        header_row: index of the header, or of the first row of data.
-        units: cells of the row of units below the header; empty if there is none.
-    """
-
-    delimiter: str
+    delimiter: str  # of the cells; empty if they are separate already
     header: tuple[str, ...]
-    header_row: int
-    units: tuple[str, ...]
+    header_row: int  # index of the header, or of the first row of data
+    units: tuple[str, ...]  # cells of the row of units below the header; empty if there is none
     start: int
     stop: int
 
@@ -340,11 +334,11 @@ def text_table(lines: Sequence[str], source: str, wanted: Iterable[str] = ()) ->
     block = _fast(lines[grid.start : stop], grid.delimiter, len(header))
     if block is None:
         kept = rows()
-        converted = convert(_columns(kept, len(header)), grid.delimiter != ",") if kept else []
+        converted = _converted(kept, len(header), grid.delimiter != ",")
     else:
         converted = [Converted("number", np.ascontiguousarray(column)) for column in block.T]
         kept = []
-    return _table(source, grid, header, converted, kept, rows, bool(grid.header))
+    return _table(source, grid, header, converted, kept, rows)
 
 
 def sheet_table(rows: Sequence[Sequence[str]], source: str, wanted: Iterable[str] = ()) -> LogTable:
@@ -355,8 +349,8 @@ def sheet_table(rows: Sequence[Sequence[str]], source: str, wanted: Iterable[str
     _require_once(header, f"{source}, row {grid.header_row + 1}")
     short = ((k + 1, rows[k]) for k in range(grid.start, grid.stop) if any(rows[k]))
     kept = _checked(((k, [*row, *[""] * (len(header) - len(row))]) for k, row in short), header, source)
-    converted = convert(_columns(kept, len(header)), comma_likely=True) if kept else []
-    return _table(source, grid, header, converted, kept, lambda: kept, bool(grid.header))
+    converted = _converted(kept, len(header), comma_likely=True)
+    return _table(source, grid, header, converted, kept, lambda: kept)
 
 
 def read_table(lines: Sequence[str], source: str) -> LogTable:
@@ -383,7 +377,6 @@ def _table(
     converted: Sequence[Converted],
     kept: Sequence[Row],
     rows: Callable[[], Sequence[Row]],
-    named: bool,
 ) -> LogTable:
     if not converted:
         raise LogError(f"{source}: header only, expected at least two rows of numbers")
@@ -393,7 +386,7 @@ def _table(
     faults = {name: c.fault for name, c in columns.items() if c.fault is not None and c.kind != "text"}
     times = frozenset(name for name, c in columns.items() if c.kind == "time")
     units = dict(zip(header, grid.units, strict=False))
-    return LogTable(source, header, whole, texts, times, units, named, grid.header_row + 1, faults, rows)
+    return LogTable(source, header, whole, texts, times, units, bool(grid.header), grid.header_row + 1, faults, rows)
 
 
 def _numbered(width: int) -> tuple[str, ...]:
@@ -436,8 +429,8 @@ def _checked(rows: Iterable[Row], header: Sequence[str], source: str) -> list[Ro
     return kept
 
 
-def _columns(rows: Sequence[Row], width: int) -> list[list[str]]:
-    return [[cells[k] for _, cells in rows] for k in range(width)]
+def _converted(rows: Sequence[Row], width: int, comma_likely: bool) -> list[Converted]:
+    return convert([[cells[k] for _, cells in rows] for k in range(width)], comma_likely) if rows else []
 
 
 def _fast(lines: Sequence[str], delimiter: str, width: int) -> Vec | None:
