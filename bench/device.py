@@ -31,6 +31,7 @@ from hystmpc.trials.csv_files import format_table
 from hystmpc.trials.errors import ConfigError, HystmpcError, LogError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.formats import read_lines
+from hystmpc.trials.json_text import mapping_in
 from hystmpc.trials.tables import read_table
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
@@ -167,7 +168,8 @@ class BenchDevice(MovableDevice):
         self._tick, self._angle_limits = tick, angle_limits
         self.in_real_time = not settings.transport.in_process
         self._prepared, self._moved = "", False
-        self.used_s = _used(folder)
+        earlier_s = mapping_in(folder / TIME_FILE).get("seconds")
+        self.used_s = float(earlier_s) if isinstance(earlier_s, int | float) else 0.0
 
     def explore(self, name: str, phase: Phase, bench: BenchSettings) -> None:
         self._perform(name, phase, bench)
@@ -286,14 +288,6 @@ def _free(folder: Path, name: str) -> Path:
         number += 1
         free = folder / f"{name}-{number}"
     return free
-
-
-def _used(folder: Path) -> float:
-    """Device time of earlier calls in this folder [s]."""
-    try:
-        return float(json.loads((folder / TIME_FILE).read_text(encoding="utf-8"))["seconds"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return 0.0
 
 
 _NOISE_DEG = 0.05  # default: an angle that never changes would be taken for a dead sensor

@@ -36,7 +36,7 @@ from hystmpc.trials.files import write_atomically
 from hystmpc.trials.read import at_rate
 from hystmpc.trials.recording import recorded_trials
 from hystmpc.trials.trial import Trial
-from hystmpc.trials.types import Progress
+from hystmpc.trials.types import Progress, parts
 
 from .config import CommissionBlock, CommissionSettings
 from .motions import ReachedAngles, references
@@ -280,15 +280,14 @@ def make_controllers(
     whole = max(round(subject.block.tune_evaluations * min(1.0, _FULL_HZ / subject.rate_hz)), 24)
     shares = {"pid": whole, "inverse_pid": max(whole // _INVERSE_SHARE, 24)}
     starts: dict[str, PidLike] = {"pid": PidControllerSettings(), "inverse_pid": InversePidControllerSettings()}
-    total, before, tuned = sum(shares.values()), 0, dict[str, PidTuning]()
-    for name, start in starts.items():
+    tuned = dict[str, PidTuning]()
 
-        def report(done: float, of: float, note: str = "", before: int = before, share: int = shares[name]) -> None:
-            progress(before + share * done / of, total, f"gains {note}".strip())
+    def named(done: float, total: float, note: str = "", /) -> None:
+        progress(done, total, f"gains {note}".strip())
 
+    for (name, start), part in zip(starts.items(), parts(named, list(shares.values())), strict=True):
         config = study.config.model_copy(update={"tune_pid": TuningSettings(evaluations=shares[name])})
-        tuned[name] = rounding_ignored(tuned_gains(replace(study, config=config), start, report), study, step)
-        before += shares[name]
+        tuned[name] = rounding_ignored(tuned_gains(replace(study, config=config), start, part), study, step)
     gains = {name: one.settings.gains.model_dump() for name, one in tuned.items()}
     tolerance = max(_TOLERANCE_DEG, _TOLERANCE_SIGMAS * sigma_deg)
     files: dict[Path, dict[str, Any]] = {

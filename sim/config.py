@@ -12,8 +12,8 @@ from hystmpc.ctrl.command import ModelledLimitsSettings
 from hystmpc.ctrl.config import ControllerSettings, sensor_fault, with_sensor_facts
 from hystmpc.ctrl.loop import AnySensorSettings, ContinuousSensorSettings, SimulatedSensor
 from hystmpc.models.effects.place import EffectError, effect_from
-from hystmpc.models.load import model_path
-from hystmpc.trajectories.config import Motion, SampledSettings
+from hystmpc.models.load import absolute_name
+from hystmpc.trajectories.config import Motion, motion_in
 from hystmpc.trials.config import (
     FolderName,
     MisplacedError,
@@ -215,17 +215,10 @@ def located(
 
     def file(text: str, *keys: str) -> str:
         try:
-            path = model_path(text, folder)
+            return absolute_name(text, folder)
         except ModelError as error:
             raise ModelError(f"{where(keys)}: {'.'.join(keys)}: {error}" if where else str(error)) from None
-        return text if text.startswith("builtin:") else str(path)
 
-    motions = {
-        name: motion.model_copy(update={"file": folder / motion.file})
-        if isinstance(motion, SampledSettings)
-        else motion
-        for name, motion in config.motions.items()
-    }
     device = config.plant.simulator
     plant = {"simulator": None if device is None else file(device, "plant", "simulator")}
     return config.model_copy(
@@ -233,6 +226,6 @@ def located(
             "plant": config.plant.model_copy(update=plant),
             "model": file(config.model, "model"),
             "inverse": None if config.inverse is None else file(config.inverse, "inverse"),
-            "motions": motions,
+            "motions": {name: motion_in(folder, motion) for name, motion in config.motions.items()},
         }
     )

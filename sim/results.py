@@ -15,6 +15,7 @@ from hystmpc.ctrl.command import CommandLimits, LimitsSettings
 from hystmpc.ctrl.loop import LoopLog
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 from hystmpc.trials.brief import brief, in_brief
+from hystmpc.trials.clocks import runs
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.from_outside import only_reads
 from hystmpc.trials.layouts import CANONICAL
@@ -94,9 +95,8 @@ def tracking_metrics(run: ClosedLoopRun, limits: CommandLimits) -> TrackingMetri
 
 def holds(reference_deg: Vec, dt_s: float) -> list[tuple[int, int]]:
     """Return start and stop (exclusive) of every stretch of at least 0.5 s over which the reference rests."""
-    still = np.abs(np.diff(reference_deg)) <= _STILL_DEG
-    edges = np.diff(np.concatenate(([0], still.astype(np.int8), [0])))
-    pairs = zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True)
+    starts, stops = runs(np.abs(np.diff(reference_deg)) <= _STILL_DEG)
+    pairs = zip(starts.tolist(), stops.tolist(), strict=True)
     return [(a, b + 1) for a, b in pairs if (b - a) * dt_s >= HOLD_S - _ROUNDING]
 
 
@@ -217,10 +217,8 @@ class StudyResult:
         from hystmpc.trials.report import Plot, Report, Table
 
         columns = ("motion", "controller", "RMSE [deg]", "max abs [deg]", "hold error [deg]", "limit violations")
-        rows = []
-        for run in self.results:
-            m = run.metrics
-            rows.append((run.motion, run.controller, m.rmse_deg, m.max_abs_deg, m.hold_error_deg, m.limit_violations))
+        scores = [(run.motion, run.controller, run.metrics) for run in self.results]
+        rows = [(*names, m.rmse_deg, m.max_abs_deg, m.hold_error_deg, m.limit_violations) for *names, m in scores]
         return Report("Closed loop in simulation", (Table(columns, rows), Plot(self.plot()))).fragment()
 
 

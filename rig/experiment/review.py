@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from hystmpc.ctrl.monitor import ChangeMonitor
 from hystmpc.models.evaluate import free_run
@@ -21,6 +21,7 @@ from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import LogError, TrajectoryError
 from hystmpc.trials.figure_data import draw_long
 from hystmpc.trials.from_outside import only_reads
+from hystmpc.trials.json_text import mapping_in
 from hystmpc.trials.layouts import CANONICAL
 from hystmpc.trials.report import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table, style
 from hystmpc.trials.run_folder import Column, RunFolder
@@ -181,18 +182,10 @@ def _free_run(model: LoadedModel, settings: RunSettings, command: Vec, sequence:
     row = np.searchsorted(place, np.arange(place[-1] + 1), side="right") - 1
     sent, lag_s = command[row], settings.controller.actuator_lag_s
     if lag_s > 0:
-        sent = _lagged(sent, 1 - math.exp(-settings.dt_s / lag_s))
+        keep = math.exp(-settings.dt_s / lag_s)
+        sent = lfilter([1 - keep], [1, -keep], sent, zi=[keep * sent[0]])[0]
     finite = angle[np.isfinite(angle)]
     return free_run(model, sent, float(finite[0]) if finite.size else 0.0)[place]
-
-
-def _lagged(u: Vec, share: float) -> Vec:
-    """Commands after a first-order lag that completes `share` of every step within a sample."""
-    out, now = np.empty_like(u), float(u[0])
-    for k, target in enumerate(u.tolist()):
-        now += share * (target - now)
-        out[k] = now
-    return out
 
 
 def _advice(free: float, corrected: float, offset: float, gain: float, bar: float) -> str:
@@ -231,13 +224,8 @@ def review_run(folder: Path, more: Sequence[Piece] = ()) -> Review:
         rows = compare_with_model(run, settings)
         verdict = review(rows, settings.review.due_above_deg)
         usable = np.isfinite(rows.measured_deg)
-        trial = Trial(
-            rows.t[usable],
-            rows.command[usable],
-            rows.measured_deg[usable],
-            units=Units(settings.command_unit),
-        )
-        write_csv(trial, folder / TRIAL_FILE)
+        signals = rows.t[usable], rows.command[usable], rows.measured_deg[usable]
+        write_csv(Trial(*signals, units=Units(settings.command_unit)), folder / TRIAL_FILE)
     except (LogError, TrajectoryError) as error:
         verdict = Review(f"not judged: {error}", *(math.nan,) * 6)
     write_page(run, settings, rows, verdict, more)
@@ -248,13 +236,12 @@ def write_page(
     run: RunFolder, settings: RunSettings, rows: ReviewedRun | None, verdict: Review, more: Sequence[Piece] = ()
 ) -> Path:
     """Write report.html of a run; `rows` is None with too few samples, `more` follows the advice."""
-    timing = _timing(run.path / "timing.json")
+    timing = mapping_in(run.path / "timing.json")
     outcome = timing.get("outcome", {})
     pieces: list[Piece] = []
     if not timing:
-        pieces.append(
-            Paragraph("The program was killed before it could say how the run ended: there is no timing.json.")
-        )
+        killed = "The program was killed before it could say how the run ended: there is no timing.json."
+        pieces.append(Paragraph(killed))
     elif outcome.get("cause"):
         pieces.append(Heading(f"Stopped: {outcome['cause']}"))
         pieces.append(Paragraph("The stop is latched. Look at the device, then run again with `--reset`."))
@@ -262,27 +249,16 @@ def write_page(
     log = run.log()
     pieces += [*more, Heading("Run"), KeyValues(_figures(settings, verdict, log, timing))]
     if rows is not None:
+        figure = tracked(rows.t, rows.reference_deg, rows.measured_deg, rows.command, settings.command_unit)
         pieces += [
             Heading("Tracking"),
-            Plot(
-                tracked(rows.t, rows.reference_deg, rows.measured_deg, rows.command, settings.command_unit),
-                "Reference, measured angle and command over time.",
-                zoom=True,
-            ),
+            Plot(figure, "Reference, measured angle and command over time.", True),
             Heading("Predicted and measured angle"),
             Plot(_prediction(rows), "Measured less predicted angle: one sample ahead, and in a free run.", True),
         ]
     pieces += [*_timing_pieces(timing, settings.dt_s), Heading("Stages of a sample"), timing_table(log), *causes(log)]
     run_page = Report("Run at the bench", tuple(pieces), f"{settings.name}, {run.meta.get('start', '')}")
     return run.write_report(run_page)
-
-
-def _timing(file: Path) -> dict[str, Any]:
-    try:
-        data = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return data if isinstance(data, dict) else {}
 
 
 def _figures(settings: RunSettings, verdict: Review, log: Log, timing: Mapping[str, Any]) -> dict[str, object]:

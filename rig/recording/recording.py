@@ -6,7 +6,6 @@ import csv
 import io
 import json
 import logging
-import math
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from typing import IO, Any, Protocol, cast, final
 from hystmpc.trials import mcap_
 from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.json_text import plain
 from hystmpc.trials.layouts import COMMAND_UNITS
 from hystmpc.trials.run_folder import RunFolder
 
@@ -368,13 +368,9 @@ class McapLog:
         if self._start_ns is None:
             self._start_ns = max(int(sample.wall_ns) - elapsed, 0)
         stamp = max(self._start_ns + elapsed, 0)
-        self._put(self._tip, stamp, sample, {name: _number(x) for name, x in sample.motion(self._command).items()})
-        timing: dict[str, Any] = {
-            "period_s": _number(sample.period_s),
-            "lateness_s": _number(sample.lateness_s),
-            "missed": bool(sample.missed),
-        }
-        timing |= {stage_column(name): _number(spent) for name, spent in sample.stages_s}
+        self._put(self._tip, stamp, sample, sample.motion(self._command))
+        timing = {"period_s": sample.period_s, "lateness_s": sample.lateness_s, "missed": bool(sample.missed)}
+        timing |= {stage_column(name): spent for name, spent in sample.stages_s}
         self._put(self._timing, stamp, sample, timing)
         now = sample.source, tuple(sample.faults)
         if now != self._before or sample.missed:
@@ -401,7 +397,7 @@ class McapLog:
         return self._writer.register_channel(topic, "json", schema)
 
     def _put(self, channel: int, stamp: int, sample: Sample, message: dict[str, Any]) -> None:
-        data = json.dumps(message, allow_nan=False).encode()
+        data = json.dumps(plain(message), allow_nan=False).encode()
         publish = min(max(int(sample.wall_ns), 0), (1 << 64) - 1)
         self._writer.add_message(channel, stamp, data, publish, int(sample.sequence) & 0xFFFFFFFF)
 
@@ -432,8 +428,3 @@ def _event(sample: Sample, stamp: int) -> dict[str, Any]:
         "line": 0,
         "faults": faults,
     }
-
-
-def _number(value: float) -> float | None:
-    number = float(value)
-    return number if math.isfinite(number) else None

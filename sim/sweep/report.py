@@ -115,9 +115,10 @@ def _overall(done: SweepView) -> Iterator[Piece]:
     for motion in done.names("motion"):
         for controller in done.names("controller"):
             part = done.where("motion", motion).where("controller", controller)
-            if e := _summary(part.figures("rmse_deg")):
+            if (e := part.figures("rmse_deg")).size:
+                errors = _median(e), float(np.mean(e)), float(np.quantile(e, 0.9)), float(np.max(e))
                 held, travel = _median(part.figures("hold_error_deg")), _median(part.figures("command_travel"))
-                rows.append((motion, controller, len(part.table["id"]), *e, _cell(held), travel))
+                rows.append((motion, controller, len(part.table["id"]), *errors, _cell(held), travel))
     yield Heading("Controllers")
     caption = "RMSE of the tip angle without sensor noise [deg]; error in holds [deg]; command travel [command unit]."
     yield Table(columns, rows, caption)
@@ -202,12 +203,6 @@ def _worst(done: SweepView) -> Iterator[Piece]:
     rows = [[_cell(columns[name][k]) for name in shown] for k in order]
     yield Heading("Worst runs")
     yield Table(shown, rows, "`hystmpc simulate --row DIR ID` makes one of them again; with --out it leaves its log.")
-
-
-def _summary(values: Vec) -> tuple[float, ...]:
-    if not values.size:
-        return ()
-    return _median(values), float(np.mean(values)), float(np.quantile(values, 0.9)), float(np.max(values))
 
 
 def _median(values: Vec) -> float:
