@@ -57,19 +57,14 @@ class DeviceStoppedError(HystmpcError):
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Record of a tracked reference, one row for each sample (N,), without the lead-in.
-
-    Attributes:
-        reference_deg, measured_deg: wanted and measured angle at the end of the sample, NaN without a usable one.
-        late: whether the sample had no time for the controller, after a missed deadline or skipped samples.
-    """
+    """Record of a tracked reference, one row for each sample (N,), without the lead-in."""
 
     t: Vec  # end of the sample since the reference's start [s]
-    reference_deg: Vec
-    measured_deg: Vec
+    reference_deg: Vec  # wanted at the end of the sample
+    measured_deg: Vec  # at the end of the sample, NaN without a usable angle
     command: Vec  # sent at its beginning
     source: tuple[str, ...]  # origin of the command
-    late: tuple[bool, ...] = ()
+    late: tuple[bool, ...] = ()  # no time for the controller, after a missed deadline or skipped samples
 
     @property
     def error_deg(self) -> Vec:

@@ -236,16 +236,11 @@ _TOLERANCE_DEG, _TOLERANCE_SIGMAS = 0.5, 3.0
 
 @dataclass(frozen=True)
 class ControllerFiles:
-    """Result of the stage that writes the controller files.
-
-    Attributes:
-        pid, inverse_pid: gains, tuned on the identified model with its noise.
-        pid_rmse_deg, inverse_pid_rmse_deg: of the true angle on that model [deg].
-    """
+    """Result of the stage that writes the controller files."""
 
     reached: ReachedAngles  # range of angles for references
-    pid: Mapping[str, float]
-    pid_rmse_deg: Figure
+    pid: Mapping[str, float]  # gains, tuned on the identified model with its noise
+    pid_rmse_deg: Figure  # of the true angle on that model [deg]
     inverse_pid: Mapping[str, float]
     inverse_pid_rmse_deg: Figure
 

@@ -32,6 +32,7 @@ from hystmpc.trials.report import (
     new_figure,
 )
 from hystmpc.trials.run_folder import RunFolder
+from hystmpc.trials.types import rms
 
 from .device import Track
 from .identify import TIP_FILE, IdentifiedDevice, Subject, uniform_trials
@@ -107,9 +108,8 @@ def _column(column: Sequence[Axes], name: str, runs: Mapping[str, Track]) -> Non
     angle.plot(first.t, first.reference_deg, color=REFERENCE, lw=2.5, label="reference")
     for controller in reversed(CONTROLLERS):
         run, look = runs[controller], {"color": _COLOURS[controller], "linestyle": _DASH[controller]}
-        rms = float(np.sqrt(np.nanmean(run.error_deg**2)))
         angle.plot(run.t, run.measured_deg, lw=1.0, **look, label=TITLES[controller])
-        error.plot(run.t, run.error_deg, lw=0.9, **look, label=f"{rms:.2f} deg RMS")
+        error.plot(run.t, run.error_deg, lw=0.9, **look, label=f"{rms(run.error_deg):.2f} deg RMS")
         command.plot(run.t, run.command, lw=0.9, **look)
     angle.set_title(name.replace("_", " "))
     error.legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)
@@ -164,7 +164,7 @@ def _scores(verified: Verification) -> Table:
             score.rms_deg,
             *score.by_motion.values(),
             score.greatest_deg,
-            _or_dash(round(100 * score.rest_share, 1)),
+            round(100 * score.rest_share, 1),
             round(100 * score.fallback_share, 1),
             round(100 * score.late_share, 1),
             score.beyond,
@@ -194,11 +194,9 @@ def _device(identified: IdentifiedDevice, range_words: str, used_s: float) -> It
         facts["device time"] = f"{used_s / 60:.1f} min, motions that were cut short included"
     yield KeyValues(facts)
     if fitted.parts:
-        rows = [(part, form, _or_dash(without), _or_dash(rmse)) for part, form, without, rmse in fitted.parts]
-        yield Table(("part", "form", "without it", "with it"), rows, "RMSE on trials left out [deg].")
+        yield Table(("part", "form", "without it", "with it"), fitted.parts, "RMSE on trials left out [deg].")
     if fitted.numbers:
-        numbers = [(name, *map(_or_dash, values)) for name, *values in fitted.numbers]
-        yield Table(("number", "value", "from", "to"), numbers, "Identified numbers, intervals of 90 %.")
+        yield Table(("number", "value", "from", "to"), fitted.numbers, "Identified numbers, intervals of 90 %.")
     for line in (*fitted.advice, *checked.warnings):
         yield Paragraph(line)
     figure = _free_run(identified.subject, identified.model)
@@ -215,10 +213,6 @@ def _free_run(subject: Subject, model: Path) -> Figure:
     opened = load_model(model)
     runs = [evaluate(opened, trial, False) for trial in uniform_trials(subject)]
     return free_run_figure([max(runs, key=lambda run: run.errors.rmse_deg)])
-
-
-def _or_dash(value: float) -> object:
-    return value if math.isfinite(value) else "-"
 
 
 def _gains(gains: Mapping[str, float], rmse_deg: float) -> str:

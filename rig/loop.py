@@ -260,7 +260,9 @@ class ControlLoop:
         self._waited = 0
         if stop := stop or self._anchor.moved:
             self._begin_stop(stop, now)
-        self._drop_phases()
+        if self._flag.ending and not isinstance(self._phase, SafeStop):  # the regular end: the way back is next
+            self._rest.clear()
+            self._phase = None
         decision = self._decide(now)
         u = self._gate.admissible(decision.u, self._clock.now_ns())
         sent = self._send(u)
@@ -305,15 +307,11 @@ class ControlLoop:
         faults = (*seen.faults, "held-unknown") if self._commands else seen.faults
         self._conclude(self._times(woke, deadline), seen, decision, held, faults)
         self._waited += 1
-        return not (over and self._given_up(over, stop))
-
-    def _given_up(self, over: str, stop: str) -> bool:
-        """Record the end of all sending with the cause of the stop and its obstacle; always return True."""
-        if not self._cause:
+        if over and not self._cause:
             self._cause, self._stop_s = stop or over, _S * (self._clock.now_ns() - self._start_ns)
         if over not in self._cause:
             self._cause = f"{self._cause}; {over}"
-        return True
+        return not over
 
     def _failed(self, cause: str, deadline: int) -> bool:
         """Record a sample in which an indispensable part has raised; return False once such samples reach `stall_s`."""
@@ -430,12 +428,6 @@ class ControlLoop:
         phase = self._to_safe(cause)
         phase.begin(now, Past([], []))
         self._phase = phase
-
-    def _drop_phases(self) -> None:
-        """Drop the remaining phases if the regular end is requested, so that the return motion is next."""
-        if self._flag.ending and not isinstance(self._phase, SafeStop):
-            self._rest.clear()
-            self._phase = None
 
     def _send(self, u: float) -> bool:
         """Send a command; return False if it was not sent."""

@@ -48,17 +48,12 @@ def draw_part(axes: Axes, x: Vec, y: Vec, part: NDArray[np.bool_] | slice, **loo
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A line of a panel.
-
-    Attributes:
-        x, y: all of its points (N,).
-        look: colour, width [pt], dashes [pt], opacity, and whether it goes in steps to each point.
-    """
+    """A line of a panel, with all of its points x, y (N,)."""
 
     series: str
     x: Vec
     y: Vec
-    look: dict[str, Any]
+    look: dict[str, Any]  # colour, width [pt], dashes [pt], opacity, and whether it goes in steps to each point
 
 
 def curves_of(axes: Axes) -> Iterator[Curve]:

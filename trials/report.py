@@ -266,7 +266,7 @@ def _block(piece: Piece, number: str, drawn: Callable[[Figure, str], str] = figu
 def _cell(value: object) -> dict[str, object]:
     """Text of a value and whether it is a number; floats are shown to four digits."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    text = ("-" if math.isnan(value) else f"{value:.4g}") if isinstance(value, float) else str(value)
+    text = (f"{value:.4g}" if math.isfinite(value) else "-") if isinstance(value, float) else str(value)
     return {"text": text, "is_number": is_number, "marked": False}
 
 

@@ -76,22 +76,20 @@ class SignalLog:
 
 @dataclass(frozen=True, eq=False)
 class UncheckedLog:
-    """Signals of a log on one time base, before any check of their values: time may repeat, values may be missing.
+    """Signals (T,) of a log on one time base, before any check of their values.
 
-    Attributes:
-        t, command, angle: time [s], command and output in `units`, each (T,).
-        ranges: plausible values of command and angle; None for any.
+    Time may repeat, values may be missing.
     """
 
-    t: Vec
-    command: Vec
+    t: Vec  # [s]
+    command: Vec  # in `units`, as the angle
     angle: Vec
     channels: Mapping[str, Vec]
     units: Units
     source: str
     layout: str = ""
     note: str = ""
-    ranges: tuple[tuple[float, float] | None, tuple[float, float] | None] = (None, None)
+    ranges: tuple[tuple[float, float] | None, tuple[float, float] | None] = (None, None)  # plausible; None for any
     cells: Cells | None = None
 
     def where(self, sample: int) -> str:

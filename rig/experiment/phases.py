@@ -36,18 +36,13 @@ class PhaseInput:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """Command and status that a phase returns for a sample.
-
-    Attributes:
-        source, status: as in `Sample`.
-        reference_deg, predicted_deg: for the end of the sample, NaN without one.
-    """
+    """Command and status that a phase returns for a sample."""
 
     u: float  # wanted command; the gate decides
-    source: str
-    status: str = "ok"
-    reference_deg: float = math.nan
-    predicted_deg: float = math.nan
+    source: str  # as in `Sample`
+    status: str = "ok"  # as in `Sample`
+    reference_deg: float = math.nan  # wanted at the end of the sample, NaN without a reference [deg]
+    predicted_deg: float = math.nan  # expected there, NaN without a model [deg]
     stages_s: tuple[tuple[str, float], ...] = ()  # name and time of stages
     finished: bool = False  # whether this was the phase's last sample
     fault: str = ""  # cause of a stop, empty without one
@@ -157,9 +152,8 @@ class AwaitStart(Phase):
 class PretensionCheck(Phase):
     """Phase that ramps the command up and back and checks that the angle exists and moves with it.
 
-    Args:
-        commands: held command to the commands (N,) of the way up, and of the way back.
-        least_deg, most_deg: bounds of the angle's motion; negative where more command means less angle.
+    `commands` maps the held command to those (N,) of the way up, and of the way back. The bounds of the angle's motion
+    [deg] are negative where more command means less angle.
     """
 
     name = "pretension check"

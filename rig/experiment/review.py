@@ -26,7 +26,7 @@ from hystmpc.trials.layouts import CANONICAL
 from hystmpc.trials.report import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table, style
 from hystmpc.trials.run_folder import Column, RunFolder
 from hystmpc.trials.trial import Trial, Units
-from hystmpc.trials.types import Vec
+from hystmpc.trials.types import Vec, rms
 
 from ..config import RunSettings
 from ..recording.report import Log, causes, numbers, timing_table, tracked
@@ -39,17 +39,13 @@ _PREPARATION = ("move", "flexure")  # the first flexure differs from all later o
 
 @dataclass(frozen=True, eq=False)
 class ReviewedRun:
-    """Signals of a run, one row for each sample (N,): the command of the sample, all else at its end.
-
-    Attributes:
-        measured_deg, reference_deg, predicted_deg: angle measured, wanted, and predicted one sample before [deg].
-    """
+    """Signals of a run, one row for each sample (N,): the command of the sample, all else at its end."""
 
     t: Vec  # end of the sample [s]
     command: Vec
     measured_deg: Vec
     reference_deg: Vec
-    predicted_deg: Vec
+    predicted_deg: Vec  # one sample before [deg]
     free_deg: Vec  # the model's free run over the commands, without any measurement [deg]
     counted: NDArray[np.bool_]  # samples that are judged: with an angle, after the first flexure
     monitor: ChangeMonitor  # of the model
@@ -57,23 +53,17 @@ class ReviewedRun:
 
 @dataclass(frozen=True)
 class Review:
-    """Assessment of a model by a run: tracking error, prediction errors, and advice.
-
-    Attributes:
-        tracking_deg, greatest_deg: RMS and greatest measured minus wanted angle [deg]; NaN without a reference.
-        offset_deg, gain: of the line from the free run to the measured angle.
-        change: sentence on a change of the device since identification; empty with too little data.
-    """
+    """Assessment of a model by a run: tracking error, prediction errors, and advice."""
 
     advice: str  # one line: nothing is due, a new identification, or a diagnosis
-    tracking_deg: float
+    tracking_deg: float  # RMS of measured minus wanted angle [deg]; NaN without a reference
     one_step_deg: float  # RMS of measured minus the angle predicted one sample before, measurements included [deg]
     free_run_deg: float  # RMS of measured minus the model's free run [deg]
-    offset_deg: float
-    gain: float
+    offset_deg: float  # of the line from the free run to the measured angle
+    gain: float  # of that line
     corrected_deg: float  # rest of `free_run_deg` after that line: the shape that the model does not have
-    change: str = field(default="", kw_only=True)
-    greatest_deg: float = field(default=math.nan, kw_only=True)
+    change: str = field(default="", kw_only=True)  # sentence on a change of the device; empty with too little data
+    greatest_deg: float = field(default=math.nan, kw_only=True)  # greatest of measured minus wanted angle [deg]
 
     @property
     def lines(self) -> tuple[str, ...]:
@@ -134,13 +124,13 @@ def review(rows: ReviewedRun, due_above_deg: float) -> Review:
         raise LogError(f"review: {y.size} samples with an angle after preparation, expected at least {_LEAST}")
     moved = float(np.ptp(r)) > due_above_deg
     gain, offset = (float(c) for c in np.polyfit(r, y, 1)) if moved else (1.0, float(np.mean(y - r)))
-    free, corrected = _rms(y - r), _rms(y - offset - gain * r)
+    free, corrected = rms(y - r), rms(y - offset - gain * r)
     error = (rows.measured_deg - rows.reference_deg)[rows.counted]
     error = error[np.isfinite(error)]
     return Review(
         advice=_advice(free, corrected, offset, gain, due_above_deg),
-        tracking_deg=_rms(error),
-        one_step_deg=_rms((rows.measured_deg - rows.predicted_deg)[rows.counted]),
+        tracking_deg=rms(error),
+        one_step_deg=rms((rows.measured_deg - rows.predicted_deg)[rows.counted]),
         free_run_deg=free,
         offset_deg=offset,
         gain=gain,
@@ -200,11 +190,6 @@ def _advice(free: float, corrected: float, offset: float, gain: float, bar: floa
         f"a diagnosis is due: the free run is off by {free:.2f} deg RMS and by {corrected:.2f} deg even behind the "
         f"best line, so the model lacks an effect; `diagnose` takes {TRIAL_FILE} of this folder"
     )
-
-
-def _rms(values: Vec) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(known**2))) if known.size else math.nan
 
 
 @only_reads()
