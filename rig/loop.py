@@ -23,23 +23,20 @@ from .transports.transport import Reading, Transport
 class RunOutcome:
     """Outcome of a run: cause of the stop, counts of samples, commands and faults.
 
-    Attributes:
-        stop_s, safe_s: monotonic time since the start of the stop, and of the safe command sent and, where `confirmed`,
-            held [s]; NaN without a stop, or where nothing could be sent any more.
-        in_c, left_c: samples executed wholly in C; returns to Python by reason.
+    Times are monotonic, since the start of the run [s]; NaN without a stop, or where nothing could be sent any more.
     """
 
     cause: str  # of the stop; empty after a complete run
     samples: int  # with a command, and skipped ones
-    stop_s: float
-    safe_s: float
+    stop_s: float  # of the stop
+    safe_s: float  # of the safe command sent and, where `confirmed`, held
     confirmed: bool  # whether the device has reported that it holds the safe command
     clipped: int  # commands limited by the gate
     unsent: int  # commands that the transport did not take
     refused: int  # samples with an error of the sink
     faults: dict[str, int]  # samples by fault
-    in_c: int = 0
-    left_c: dict[str, int] = field(default_factory=dict)
+    in_c: int = 0  # samples executed wholly in C
+    left_c: dict[str, int] = field(default_factory=dict)  # returns to Python by reason
 
 
 _S = 1e-9

@@ -51,27 +51,19 @@ class TrackingMetrics:
     """Metrics of one closed-loop run.
 
     Errors are true angle minus reference; a hold is a reference at rest for 0.5 s or longer. Errors and holds of an
-    approach do not count; commands and times do.
-
-    Attributes:
-        rmse_deg, max_abs_deg: root mean square and greatest absolute error [deg].
-        hold_error_deg: mean absolute error over the last halves of all holds; NaN without a hold [deg].
-        hold_command_range: greatest range of the command over the last half of a hold; NaN without a hold [cmd].
-        command_travel: sum of all command changes [cmd].
-        limit_violations: samples whose command or command change is beyond the limits; anything but 0 is a fault.
-        step_mean_s, step_p99_s: execution time of a controller step, mean and 99th percentile [s].
+    approach do not count; commands and times do. Figures of holds are NaN without one.
     """
 
     rmse_deg: float
-    max_abs_deg: float
-    hold_error_deg: float
-    hold_command_range: float
-    command_travel: float
-    limit_violations: int
-    step_mean_s: float
+    max_abs_deg: float  # greatest absolute error [deg]
+    hold_error_deg: float  # mean absolute error over the last halves of all holds [deg]
+    hold_command_range: float  # greatest range of the command over the last half of a hold [cmd]
+    command_travel: float  # sum of all command changes [cmd]
+    limit_violations: int  # samples with a command, or its change, beyond the limits; anything but 0 is a fault
+    step_mean_s: float  # execution time of a controller step [s]
     __repr__ = brief
     step_p99_s: float
-    ladder: Mapping[str, int]
+    ladder: Mapping[str, int]  # samples by source of the command
 
 
 def tracking_metrics(run: ClosedLoopRun, limits: CommandLimits) -> TrackingMetrics:

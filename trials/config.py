@@ -288,7 +288,7 @@ class Settings(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _known_keys(cls, data: Any) -> Any:
-        if isinstance(data, dict):
+        if isinstance(data, dict) and cls.model_config.get("extra") == "forbid":
             for key in data:
                 if key not in cls.model_fields:
                     raise MisplacedError(f"unknown key {key!r}, {did_you_mean(str(key), cls.model_fields)}", (key,))

@@ -169,13 +169,11 @@ def _jitter(forward: Vec, median: float, clock: LogClock) -> Finding:
         text = f"the stamps come in steps of {median:.3g} s, about {each:.3g} samples in each: jitter cannot be told"
         return Finding(Severity.NOTE, "jitter", text)
     spread = float(np.std(forward))
-    severity = Severity.NOTE if spread > _JITTER_SHARE * median else Severity.OK
-    return Finding(
-        severity,
-        "jitter",
+    text = (
         f"sample interval {1e3 * median:.3g} ms (median), standard deviation {1e3 * spread:.2g} ms "
-        f"({spread / median:.0%}), longest {1e3 * float(forward.max()):.3g} ms",
+        f"({spread / median:.0%}), longest {1e3 * float(forward.max()):.3g} ms"
     )
+    return Finding(Severity.NOTE if spread > _JITTER_SHARE * median else Severity.OK, "jitter", text)
 
 
 def _gaps(
@@ -252,12 +250,9 @@ def _stuck(t: Vec, command: Vec, angle: Vec) -> Finding:
     if travel[farthest] <= max(_STUCK_SHARE * span, 2 * step / gain if gain > 0 else 0.0):
         return Finding(Severity.OK, topic, text)
     start, stop = int(starts[farthest]), int(np.append(starts, angle.size)[farthest + 1]) - 1
-    return Finding(
-        Severity.NOTE,
-        topic,
-        f"{text}; from {t[start]:.6g} to {t[stop]:.6g} s it stays the same while the command travels "
-        f"{travel[farthest]:.3g}: {'a play, a ' if step else ''}dead zone or stuck sensor",
-    )
+    text += f"; from {t[start]:.6g} to {t[stop]:.6g} s it stays the same while the command travels "
+    text += f"{travel[farthest]:.3g}: {'a play, a ' if step else ''}dead zone or stuck sensor"
+    return Finding(Severity.NOTE, topic, text)
 
 
 def _sensor_step(angle: Vec) -> float:

@@ -43,19 +43,12 @@ class Series:
 
 
 class SignalLog:
-    """An open log of named signals.
+    """An open log of named signals."""
 
-    Attributes:
-        path: file or folder, for messages.
-        note: note to the user on the file, such as on a truncated one; empty for none.
-        clock: signal that serves as time if none has a known name; empty for none.
-        times: names of signals of dates, converted to seconds since the first.
-    """
-
-    path: str
-    note: str
-    clock: str = ""
-    times: frozenset[str] = frozenset()
+    path: str  # file or folder, for messages
+    note: str  # to the user on the file, such as on a truncated one; empty for none
+    clock: str = ""  # signal that serves as time if none has a known name; empty for none
+    times: frozenset[str] = frozenset()  # signals of dates, converted to seconds since the first
 
     def names(self) -> tuple[str, ...]:
         """Names of all available signals."""

@@ -212,27 +212,20 @@ Row = tuple[int, Sequence[str]]  # its number, counted from 1 as an editor shows
 class LogTable:
     """Columns of one file or data frame.
 
-    Attributes:
-        header: names of all columns in the order of the file; `[0]`, `[1]`, ... without a header row.
-        numbers: columns of numbers, each (T,), not-a-number for empty cells and marks of missing values.
-        texts: other columns, each of length T.
-        times: names of the columns of `numbers` that were dates or times of day; seconds since the first.
-        units: entries of a row of units below the header, by column.
-        header_row: row of the header, counted from 1.
-        faults: for a column that mixes numbers and other cells: first such sample, and an addition to its error.
-        rows: function that rereads the rows for messages; None for a data frame.
+    In `numbers` empty cells and marks of missing values are not-a-number. `faults` has, for a column that mixes numbers
+    and other cells, the first such sample and an addition to its error.
     """
 
     source: str
-    header: tuple[str, ...]
-    numbers: Mapping[str, Vec]
-    texts: Mapping[str, tuple[str, ...]]
-    times: frozenset[str] = frozenset()
-    units: Mapping[str, str] = field(default_factory=dict)
+    header: tuple[str, ...]  # all columns in the order of the file; `[0]`, `[1]`, ... without a header row
+    numbers: Mapping[str, Vec]  # columns of numbers, each (T,)
+    texts: Mapping[str, tuple[str, ...]]  # other columns, each of length T
+    times: frozenset[str] = frozenset()  # columns of `numbers` that were dates or times; seconds since the first
+    units: Mapping[str, str] = field(default_factory=dict)  # entries of a row of units below the header
     named: bool = True
-    header_row: int = 1
+    header_row: int = 1  # counted from 1
     faults: Mapping[str, tuple[int, str]] = field(default_factory=dict)
-    rows: Callable[[], Sequence[Row]] | None = None
+    rows: Callable[[], Sequence[Row]] | None = None  # rereads the rows for messages; None for a data frame
 
     def locate(self, sample: int, column: str) -> tuple[int, str]:
         """Row and text of one cell; rows of a file count from 1, as in an editor, of a data frame from 0."""
