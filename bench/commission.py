@@ -55,18 +55,15 @@ _COMPUTING_S = {FIT: 60.0, DIAGNOSE: 150.0, CONTROLLER: 40.0, "report": 10.0}  #
 
 @dataclass(frozen=True)
 class CommandRange:
-    """Range and rate of the command for all further stages, with the angles at rest within it [deg].
-
-    `words` says how they were determined; `still` is the longest travel of the command in which the tip did not move.
-    """
+    """Range and rate of the command for all further stages, with the angles at rest within it [deg]."""
 
     lower: float
     upper: float
     rate_per_s: float
     low_deg: Figure
     high_deg: Figure
-    words: str
-    still: float = 0.0
+    words: str  # how they were determined
+    still: float = 0.0  # longest travel of the command in which the tip did not move
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -10,8 +10,8 @@ from pydantic import Field, model_validator
 
 from hystmpc.models.load import model_path
 from hystmpc.rig.config import BenchSettings, located
-from hystmpc.trajectories.config import Motion, SampledSettings
-from hystmpc.trials.config import Count, FolderName, NotNegativeInt, Positive, Settings, load_settings
+from hystmpc.trajectories.config import Motion, motion_in
+from hystmpc.trials.config import Count, FolderName, NotNegativeInt, Positive, Settings
 
 MOST_MINUTES = 5.0
 _STILL_MARGIN, _MOST_TRAVEL = 1.5, 0.9  # of the travel seen without motion, and of the range
@@ -112,38 +112,13 @@ class InvestigateSettings(CommissionSettings):
 C = TypeVar("C", bound=CommissionSettings)
 
 
-def load_commission(path: Path | str, overrides: Iterable[str] = ()) -> CommissionSettings:
-    """Read the settings in a bench file with the block `commission`; file names in it become absolute.
-
-    Raises:
-        ConfigError: on an unreadable file, an unknown key or a value out of bounds.
-    """
-    settings = load_settings(CommissionSettings, path, overrides)
-    return located_commission(settings, Path(path).resolve().parent)
-
-
 def located_commission(settings: C, folder: Path) -> C:
     """Settings with file names resolved against `folder`."""
     changes: dict[str, Any] = located(settings, folder)
-    motions = settings.commission.motions
-    if motions is not None:
-        absolute = {
-            name: m.model_copy(update={"file": folder / m.file}) if isinstance(m, SampledSettings) else m
-            for name, m in motions.items()
-        }
+    if (motions := settings.commission.motions) is not None:
+        absolute = {name: motion_in(folder, motion) for name, motion in motions.items()}
         changes["commission"] = settings.commission.model_copy(update={"motions": absolute})
     return settings.model_copy(update=changes)
-
-
-def load_investigation(path: Path | str, overrides: Iterable[str] = ()) -> InvestigateSettings:
-    """Read the settings in a bench file with the block `investigate`; file names in it become absolute.
-
-    Raises:
-        ConfigError: on an unreadable file, an unknown key or a value out of bounds.
-        ModelError: if a built-in simulator is unknown.
-    """
-    settings = load_settings(InvestigateSettings, path, overrides)
-    return located_investigation(settings, Path(path).resolve().parent)
 
 
 def located_investigation(

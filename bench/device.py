@@ -31,6 +31,7 @@ from hystmpc.trials.csv_files import format_table
 from hystmpc.trials.errors import ConfigError, HystmpcError, LogError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.formats import read_lines
+from hystmpc.trials.json_text import mapping_in
 from hystmpc.trials.tables import read_table
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
@@ -56,19 +57,14 @@ class DeviceStoppedError(HystmpcError):
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Record of a tracked reference, one row for each sample (N,), without the lead-in.
-
-    Attributes:
-        reference_deg, measured_deg: wanted and measured angle at the end of the sample, NaN without a usable one.
-        late: whether the sample had no time for the controller, after a missed deadline or skipped samples.
-    """
+    """Record of a tracked reference, one row for each sample (N,), without the lead-in."""
 
     t: Vec  # end of the sample since the reference's start [s]
-    reference_deg: Vec
-    measured_deg: Vec
+    reference_deg: Vec  # wanted at the end of the sample
+    measured_deg: Vec  # at the end of the sample, NaN without a usable angle
     command: Vec  # sent at its beginning
     source: tuple[str, ...]  # origin of the command
-    late: tuple[bool, ...] = ()
+    late: tuple[bool, ...] = ()  # no time for the controller, after a missed deadline or skipped samples
 
     @property
     def error_deg(self) -> Vec:
@@ -167,7 +163,8 @@ class BenchDevice(MovableDevice):
         self._tick, self._angle_limits = tick, angle_limits
         self.in_real_time = not settings.transport.in_process
         self._prepared, self._moved = "", False
-        self.used_s = _used(folder)
+        earlier_s = mapping_in(folder / TIME_FILE).get("seconds")
+        self.used_s = float(earlier_s) if isinstance(earlier_s, int | float) else 0.0
 
     def explore(self, name: str, phase: Phase, bench: BenchSettings) -> None:
         self._perform(name, phase, bench)
@@ -286,14 +283,6 @@ def _free(folder: Path, name: str) -> Path:
         number += 1
         free = folder / f"{name}-{number}"
     return free
-
-
-def _used(folder: Path) -> float:
-    """Device time of earlier calls in this folder [s]."""
-    try:
-        return float(json.loads((folder / TIME_FILE).read_text(encoding="utf-8"))["seconds"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return 0.0
 
 
 _NOISE_DEG = 0.05  # default: an angle that never changes would be taken for a dead sensor

@@ -33,10 +33,10 @@ from hystmpc.trials.check import Severity, check
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.errors import FitError, LogError
 from hystmpc.trials.files import write_atomically
-from hystmpc.trials.read import at_rate, read_trials
-from hystmpc.trials.recording import require_recorded
+from hystmpc.trials.read import at_rate
+from hystmpc.trials.recording import recorded_trials
 from hystmpc.trials.trial import Trial
-from hystmpc.trials.types import Progress
+from hystmpc.trials.types import Progress, parts
 
 from .config import CommissionBlock, CommissionSettings
 from .motions import ReachedAngles, references
@@ -106,10 +106,7 @@ def check_trials(subject: Subject) -> TrialCheck:
 
 def uniform_trials(subject: Subject) -> list[Trial]:
     """Recordings resampled to the rate of the device."""
-    recorded = read_trials(subject.trials)
-    for trial in recorded:
-        require_recorded(trial)
-    return at_rate(recorded, subject.rate_hz)
+    return at_rate(recorded_trials(subject.trials), subject.rate_hz)
 
 
 Row = tuple[str, str, Figure, Figure]
@@ -239,16 +236,11 @@ _TOLERANCE_DEG, _TOLERANCE_SIGMAS = 0.5, 3.0
 
 @dataclass(frozen=True)
 class ControllerFiles:
-    """Result of the stage that writes the controller files.
-
-    Attributes:
-        pid, inverse_pid: gains, tuned on the identified model with its noise.
-        pid_rmse_deg, inverse_pid_rmse_deg: of the true angle on that model [deg].
-    """
+    """Result of the stage that writes the controller files."""
 
     reached: ReachedAngles  # range of angles for references
-    pid: Mapping[str, float]
-    pid_rmse_deg: Figure
+    pid: Mapping[str, float]  # gains, tuned on the identified model with its noise
+    pid_rmse_deg: Figure  # of the true angle on that model [deg]
     inverse_pid: Mapping[str, float]
     inverse_pid_rmse_deg: Figure
 
@@ -283,15 +275,14 @@ def make_controllers(
     whole = max(round(subject.block.tune_evaluations * min(1.0, _FULL_HZ / subject.rate_hz)), 24)
     shares = {"pid": whole, "inverse_pid": max(whole // _INVERSE_SHARE, 24)}
     starts: dict[str, PidLike] = {"pid": PidControllerSettings(), "inverse_pid": InversePidControllerSettings()}
-    total, before, tuned = sum(shares.values()), 0, dict[str, PidTuning]()
-    for name, start in starts.items():
+    tuned = dict[str, PidTuning]()
 
-        def report(done: float, of: float, note: str = "", before: int = before, share: int = shares[name]) -> None:
-            progress(before + share * done / of, total, f"gains {note}".strip())
+    def named(done: float, total: float, note: str = "", /) -> None:
+        progress(done, total, f"gains {note}".strip())
 
+    for (name, start), part in zip(starts.items(), parts(named, list(shares.values())), strict=True):
         config = study.config.model_copy(update={"tune_pid": TuningSettings(evaluations=shares[name])})
-        tuned[name] = rounding_ignored(tuned_gains(replace(study, config=config), start, report), study, step)
-        before += shares[name]
+        tuned[name] = rounding_ignored(tuned_gains(replace(study, config=config), start, part), study, step)
     gains = {name: one.settings.gains.model_dump() for name, one in tuned.items()}
     tolerance = max(_TOLERANCE_DEG, _TOLERANCE_SIGMAS * sigma_deg)
     files: dict[Path, dict[str, Any]] = {

@@ -41,14 +41,11 @@ LEAST_SHARE = 0.15
 
 @dataclass(frozen=True)
 class ReachedAngles:
-    """Range of angles that the device reaches at rest, and its speed [deg/s].
-
-    The speed is the mean slope times the greatest command rate.
-    """
+    """Range of angles that the device reaches at rest, and its speed."""
 
     low_deg: float
     high_deg: float
-    speed_deg_s: float
+    speed_deg_s: float  # mean slope times the greatest command rate
 
     @property
     def motion(self) -> MotionLimits:
@@ -91,17 +88,14 @@ def _rest(at: float, dt: float) -> Vec:
 
 @dataclass(frozen=True)
 class Budget:
-    """Device time by stage [s], without preparation, which occurs once in each of three stages.
-
-    `share` is that of the full recordings; `motion_s` the duration of each reference without approach and return.
-    """
+    """Device time by stage [s], without preparation, which occurs once in each of three stages."""
 
     prepare_s: float
     range_s: float
     record_s: float
     verify_s: float
-    share: float
-    motion_s: float
+    share: float  # of the full recordings
+    motion_s: float  # duration of each reference without approach and return
 
     @property
     def total_s(self) -> float:
@@ -222,27 +216,17 @@ def _drawn(
     # Alternately in the lower and the upper half, so that every move is one.
     shares = random.uniform(0.0, 0.4, moves + 1) + np.resize([0.0, 0.6], moves + 1)
     angles = (low + shares * (high - low)).tolist()
-    yield (
-        "point_to_point",
-        PointToPoint(
-            start_deg=angles[0],
-            targets_deg=tuple(angles[1:]),
-            holds_s=(rest_s,) * moves,
-            limits=limits,
-        ),
-    )
+    start, targets, holds = angles[0], tuple(angles[1:]), (rest_s,) * moves
+    yield "point_to_point", PointToPoint(start_deg=start, targets_deg=targets, holds_s=holds, limits=limits)
     for name, hz in SCANS_HZ.items():
         low, high = _range(reached, random)
         amplitude = min(0.5 * (high - low), _SLOPE_SHARE * reached.speed_deg_s / (2 * math.pi * hz))
         centre = 0.5 * (low + high)
+        cycles = max(0.5 * math.floor(2 * motion_s * hz), 1.0)
         yield (
             name,
             SinusoidScan(
-                start_deg=centre - amplitude,
-                centre_deg=centre,
-                amplitude_deg=amplitude,
-                frequency_hz=hz,
-                cycles=max(0.5 * math.floor(2 * motion_s * hz), 1.0),
+                start_deg=centre - amplitude, centre_deg=centre, amplitude_deg=amplitude, frequency_hz=hz, cycles=cycles
             ),
         )
 

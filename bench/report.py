@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from hystmpc.gap.report.words import in_words, listed, percent
 from hystmpc.models.evaluate import evaluate
+from hystmpc.models.evaluation_report import free_run_figure
 from hystmpc.models.load import load_model
 from hystmpc.trials.csv_files import read_csv
 from hystmpc.trials.recording import SEPARATION_COLUMN
@@ -31,6 +32,7 @@ from hystmpc.trials.report import (
     new_figure,
 )
 from hystmpc.trials.run_folder import RunFolder
+from hystmpc.trials.types import rms
 
 from .device import Track
 from .identify import TIP_FILE, IdentifiedDevice, Subject, uniform_trials
@@ -106,9 +108,8 @@ def _column(column: Sequence[Axes], name: str, runs: Mapping[str, Track]) -> Non
     angle.plot(first.t, first.reference_deg, color=REFERENCE, lw=2.5, label="reference")
     for controller in reversed(CONTROLLERS):
         run, look = runs[controller], {"color": _COLOURS[controller], "linestyle": _DASH[controller]}
-        rms = float(np.sqrt(np.nanmean(run.error_deg**2)))
         angle.plot(run.t, run.measured_deg, lw=1.0, **look, label=TITLES[controller])
-        error.plot(run.t, run.error_deg, lw=0.9, **look, label=f"{rms:.2f} deg RMS")
+        error.plot(run.t, run.error_deg, lw=0.9, **look, label=f"{rms(run.error_deg):.2f} deg RMS")
         command.plot(run.t, run.command, lw=0.9, **look)
     angle.set_title(name.replace("_", " "))
     error.legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)
@@ -138,11 +139,12 @@ def _verdict(tracks: Tracks, verified: Verification | None, unit: str) -> Iterat
 def _controller(identified: IdentifiedDevice) -> Iterator[Piece]:
     subject, made = identified.subject, identified.made
     limits, motion = subject.limits, made.reached.motion
+    corrected = identified.diagnosed is not None and identified.diagnosed.corrected
     yield Heading("Controller")
     yield KeyValues(
         {
             "file": TIP_FILE,
-            "model": identified.model.name + (" (corrected by the diagnosis)" if _corrected(identified) else ""),
+            "model": identified.model.name + (" (corrected by the diagnosis)" if corrected else ""),
             f"command [{subject.command_unit}]": f"{limits.lower:g} to {limits.upper:g} at {limits.rate:g} per s",
             "angles for references [deg]": f"{made.reached.low_deg:.1f} to {made.reached.high_deg:.1f}",
             "motion of targets": f"{motion.velocity_deg_s:g} deg/s, {motion.acceleration_deg_s2:g} deg/s^2",
@@ -154,23 +156,15 @@ def _controller(identified: IdentifiedDevice) -> Iterator[Piece]:
 
 def _scores(verified: Verification) -> Table:
     motions = next(iter(verified.scores.values())).by_motion
-    columns = (
-        "controller",
-        "RMS",
-        *motions,
-        "greatest",
-        "rest in holds [%]",
-        "fallbacks [%]",
-        "late [%]",
-        "beyond limits",
-    )
+    shares = ("rest in holds [%]", "fallbacks [%]", "late [%]")
+    columns = ("controller", "RMS", *motions, "greatest", *shares, "beyond limits")
     rows = [
         (
             TITLES[name],
             score.rms_deg,
             *score.by_motion.values(),
             score.greatest_deg,
-            _or_dash(round(100 * score.rest_share, 1)),
+            round(100 * score.rest_share, 1),
             round(100 * score.fallback_share, 1),
             round(100 * score.late_share, 1),
             score.beyond,
@@ -200,18 +194,13 @@ def _device(identified: IdentifiedDevice, range_words: str, used_s: float) -> It
         facts["device time"] = f"{used_s / 60:.1f} min, motions that were cut short included"
     yield KeyValues(facts)
     if fitted.parts:
-        rows = [(part, form, _or_dash(without), _or_dash(rmse)) for part, form, without, rmse in fitted.parts]
-        yield Table(("part", "form", "without it", "with it"), rows, "RMSE on trials left out [deg].")
+        yield Table(("part", "form", "without it", "with it"), fitted.parts, "RMSE on trials left out [deg].")
     if fitted.numbers:
-        numbers = [(name, *map(_or_dash, values)) for name, *values in fitted.numbers]
-        yield Table(("number", "value", "from", "to"), numbers, "Identified numbers, intervals of 90 %.")
+        yield Table(("number", "value", "from", "to"), fitted.numbers, "Identified numbers, intervals of 90 %.")
     for line in (*fitted.advice, *checked.warnings):
         yield Paragraph(line)
-    yield Plot(
-        _free_run(identified.subject, identified.model),
-        "Free run of the model beside the recording, worst trial.",
-        zoom=True,
-    )
+    figure = _free_run(identified.subject, identified.model)
+    yield Plot(figure, "Free run of the model beside the recording, worst trial.", True)
     if diagnosed is not None:
         yield Heading("What is left")
         for line in filter(None, diagnosed.verdict):
@@ -223,23 +212,7 @@ def _device(identified: IdentifiedDevice, range_words: str, used_s: float) -> It
 def _free_run(subject: Subject, model: Path) -> Figure:
     opened = load_model(model)
     runs = [evaluate(opened, trial, False) for trial in uniform_trials(subject)]
-    worst = max(runs, key=lambda run: run.errors.rmse_deg)
-    with new_figure(8.0, 2.6) as figure:
-        axes = figure.subplots()
-        axes.plot(worst.trial.t, worst.trial.angle, color=MEASURED, label="measured")
-        axes.plot(worst.trial.t, worst.theta, color=MODEL, lw=0.9, label="model")
-        name = Path(worst.trial.source).name
-        axes.set(xlabel="time [s]", ylabel="angle [deg]", title=f"{name}: RMSE {worst.errors.rmse_deg:.3g} deg")
-        axes.legend(ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
-    return figure
-
-
-def _or_dash(value: float) -> object:
-    return value if math.isfinite(value) else "-"
-
-
-def _corrected(identified: IdentifiedDevice) -> bool:
-    return identified.diagnosed is not None and identified.diagnosed.corrected
+    return free_run_figure([max(runs, key=lambda run: run.errors.rmse_deg)])
 
 
 def _gains(gains: Mapping[str, float], rmse_deg: float) -> str:
@@ -276,18 +249,10 @@ def _relative(path: Path, folder: Path) -> str:
 def _overview(made: Investigated) -> Table:
     rows = []
     for one in made.rounds:
-        judged = one.judged
-        rows.append(
-            (
-                one.number,
-                f"{one.recorded.device_s:.0f}",
-                len(one.recorded.names),
-                judged.headline,
-                percent(judged.probability) if math.isfinite(judged.probability) else "-",
-                judged.retuned_deg,
-                judged.left_deg,
-            )
-        )
+        judged, recorded = one.judged, one.recorded
+        odds = percent(judged.probability) if math.isfinite(judged.probability) else "-"
+        facts = one.number, f"{recorded.device_s:.0f}", len(recorded.names), judged.headline
+        rows.append((*facts, odds, judged.retuned_deg, judged.left_deg))
     columns = ("round", "device time [s]", "motions", "verdict", "probability", "retuned [deg]", "with effects [deg]")
     return Table(columns, rows, "Verdict after each round, on all trials so far; RMSE on trials kept for the end.")
 

@@ -55,23 +55,17 @@ _FIRST_SHARE = 0.6  # of the device time that the first motions may take
 
 @dataclass(frozen=True)
 class RoundPlan:
-    """Plan of a round: its motions and their expected information.
-
-    Attributes:
-        probability, bits: expected probability of the right hypothesis, and the same as information.
-        undirected: whether the motion is of a new kind, chosen as the first ones were, for want of a designed one.
-        menu, menu_gain: best motion of the menu, and the information per second of this motion relative to it.
-    """
+    """Plan of a round: its motions and their expected information."""
 
     motions: tuple[str, ...]  # names of their files, in the order of recording
     seconds: float  # greatest device time, approach and return included [s]
     separates: tuple[str, ...]  # hypotheses to discriminate
-    probability: Figure
-    bits: Figure
+    probability: Figure  # expected for the right hypothesis
+    bits: Figure  # the same as information
     confirms: bool = False  # whether the trials decide already, and the motion only tests their answer
-    undirected: bool = False
-    menu: str = ""
-    menu_gain: Figure = np.nan
+    undirected: bool = False  # of a new kind, chosen as the first ones were, for want of a designed motion
+    menu: str = ""  # best motion of the menu
+    menu_gain: Figure = np.nan  # information per second of this motion relative to that one
     looked_at: int = 0  # number of motions compared
 
 
@@ -212,11 +206,8 @@ def allowed(settings: InvestigateSettings) -> Callable[[EvaluatedMotion], bool]:
     for the median angle, since no hypothesis of a typical size has been observed on the device.
     """
     low, high = settings.angle_limits
-    span, range_deg = (
-        settings.limits.upper - settings.limits.lower,
-        settings.sensor.upper_deg - settings.sensor.lower_deg,
-    )
-    watch = settings.plausibility
+    limits, sensor, watch = settings.limits, settings.sensor, settings.plausibility
+    span, range_deg = limits.upper - limits.lower, sensor.upper_deg - sensor.lower_deg
     careful = watch.model_copy(update={"travel": _CAREFUL * watch.travel_of(span, onward=True)})
 
     def is_allowed(option: EvaluatedMotion) -> bool:

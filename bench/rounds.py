@@ -37,34 +37,23 @@ _MOST_OF_IT = 0.5  # of the structural gap: a name that leaves more of it than i
 
 @dataclass(frozen=True)
 class RoundVerdict:
-    """Verdict of a round: the diagnosis of all trials so far, and the decision on a further round.
-
-    Attributes:
-        effects: names, the most probable first.
-        headline, closed: the verdict; the closed share and the expected tracking error, in words.
-        probability: of the first effect; NaN without one.
-        closed_share: of the structural gap on the final trials.
-        retuned_deg, left_deg: RMSE on the final trials without and with the effects [deg].
-        flips: whether other splits of the trials give another verdict.
-        next: motions of the next round; None where the investigation ends.
-        ended, why: reason of the end, and the same in one sentence; empty where it goes on.
-    """
+    """Verdict of a round: the diagnosis of all trials so far, and the decision on a further round."""
 
     verdict: Verdict
-    effects: tuple[str, ...]
+    effects: tuple[str, ...]  # names, the most probable first
     ambiguity: tuple[tuple[str, ...], ...]
     reason: str
-    headline: str
-    closed: str
-    probability: Figure
-    closed_share: Figure
-    retuned_deg: Figure
-    left_deg: Figure
+    headline: str  # the verdict in words
+    closed: str  # the closed share and the expected tracking error, in words
+    probability: Figure  # of the first effect; NaN without one
+    closed_share: Figure  # of the structural gap on the final trials
+    retuned_deg: Figure  # RMSE on the final trials without the effects [deg]
+    left_deg: Figure  # RMSE on the final trials with the effects [deg]
     trials: int
-    flips: bool = False
-    next: RoundPlan | None = None
-    ended: Ending = ""
-    why: str = ""
+    flips: bool = False  # whether other splits of the trials give another verdict
+    next: RoundPlan | None = None  # motions of the next round; None where the investigation ends
+    ended: Ending = ""  # reason of the end; empty where it goes on
+    why: str = ""  # the same in one sentence
 
     @property
     def result(self) -> tuple[str, frozenset[str], frozenset[frozenset[str]]]:
@@ -94,23 +83,17 @@ class Round:
 
 @dataclass(frozen=True, eq=False)
 class Investigated:
-    """Result of an investigation.
-
-    Attributes:
-        ended, why: reason of the end, and the same in one sentence.
-        fixed: corrected by the effects of the diagnosis; None where there is none.
-        device_s, budget_s: device time used, interrupted motions included, and allowed [s].
-    """
+    """Result of an investigation."""
 
     folder: Path
     rounds: tuple[Round, ...]
-    ended: Ending
-    why: str
+    ended: Ending  # reason of the end
+    why: str  # the same in one sentence
     model: Path
-    fixed: Path | None
+    fixed: Path | None  # simulator corrected by the effects of the diagnosis; None where there is none
     report: Path
-    device_s: float
-    budget_s: float
+    device_s: float  # device time used, interrupted motions included [s]
+    budget_s: float  # device time allowed [s]
 
     def __repr__(self) -> str:
         last = self.verdict
@@ -136,9 +119,7 @@ class Investigated:
             "budget_s": self.budget_s,
             "model": str(self.model),
             "corrected": None if self.fixed is None else self.fixed.relative_to(self.folder).as_posix(),
-            "diagnosis": (round_folder(self.folder, len(self.rounds)) / "diagnose" / DIAGNOSIS)
-            .relative_to(self.folder)
-            .as_posix(),
+            "diagnosis": f"{round_folder(self.folder, len(self.rounds)).name}/diagnose/{DIAGNOSIS}",
             "rounds": plain([asdict(one) for one in self.rounds]),
         }
 

@@ -15,7 +15,7 @@ from hystmpc.rig.config import BenchSettings
 from hystmpc.sim.results import holds, violations
 from hystmpc.trajectories.motion import MotionSettings
 from hystmpc.trials.brief import brief
-from hystmpc.trials.types import Vec
+from hystmpc.trials.types import Vec, rms
 
 from .device import MovableDevice, Track
 from .identify import TIP_FILE, tip_settings
@@ -179,8 +179,8 @@ def _scored(tracks: Mapping[str, Track], limits: CommandLimits, dt_s: float) -> 
         skipped += round((track.t[-1] - track.t[0]) / dt_s) + 1 - len(track.source)
         beyond += violations(track.command, float(track.command[0]), limits, dt_s)
     return ControllerScore(
-        rms_deg=_rms(pooled),
-        by_motion={name: _rms(error) for name, error in errors.items()},
+        rms_deg=rms(pooled),
+        by_motion={name: rms(error) for name, error in errors.items()},
         greatest_deg=float(np.abs(pooled).max(initial=0.0)) if pooled.size else math.nan,
         rest_share=resting / held if held else math.nan,
         fallback_share=fallbacks / max(samples, 1),
@@ -223,7 +223,3 @@ def _reasons(
     return "Its error has another cause than the model's free run and the noise.", (
         "look at the tracks in the report; `hystmpc tune` searches the settings of the controller",
     )
-
-
-def _rms(values: Vec) -> float:
-    return float(np.sqrt(np.mean(values**2))) if values.size else math.nan

@@ -130,22 +130,16 @@ def clock_words(seconds: float | None) -> str:
 @final
 @dataclass
 class Computation:
-    """State of one computation.
-
-    Attributes:
-        share: completed share of the steps, None if unknown.
-        began: start time [s].
-        said: time of its last printed line [s]; `stage` is the first word of that line's note.
-    """
+    """State of one computation."""
 
     title: str
-    began: float
+    began: float  # start time [s]
     left: TimeLeft
     total: float | None = None
-    share: float | None = None
+    share: float | None = None  # completed share of the steps, None if unknown
     note: str = ""
     reported: bool = False
-    said: float | None = None
+    said: float | None = None  # time of its last printed line [s]; `stage` is the first word of that line's note
     stage: str = ""
 
     def line(self, now: float) -> str | None:
@@ -239,13 +233,11 @@ class Screen:
     def _draw(self, now: float) -> None:
         for number, work in self._works.items():
             if number in self._drawn or work.reported or now - work.began >= _DRAWN_S:
-                self._bar(number, work.title, work.total, work.share, work.left.seconds(now), work.note)
+                self._bar(number, work, clock_words(work.left.seconds(now)))
         if self._bars is not None:
             self._bars.refresh()
 
-    def _bar(
-        self, number: int, title: str, total: float | None, share: float | None, left: float | None, note: str = ""
-    ) -> None:
+    def _bar(self, number: int, work: Computation, left: str) -> None:
         if self._bars is None:
             columns = (
                 TextColumn("{task.description}", markup=False),
@@ -260,9 +252,9 @@ class Screen:
             self._bars = Progress(*columns, console=self._console, auto_refresh=False, redirect_stdout=both)
             self._bars.start()
         if number not in self._drawn:
-            self._drawn[number] = self._bars.add_task(title, total=total, note="", left="")
-        done = None if share is None or not total else share * total
-        self._bars.update(self._drawn[number], total=total, completed=done, note=note, left=clock_words(left))
+            self._drawn[number] = self._bars.add_task(work.title, total=work.total, note="", left="")
+        done = None if work.share is None or not work.total else work.share * work.total
+        self._bars.update(self._drawn[number], total=work.total, completed=done, note=work.note, left=left)
 
     def _end(self) -> None:
         if self._bars is not None:

@@ -147,11 +147,8 @@ def _print_outcome(settings: BenchSettings, result: BenchResult) -> None:
     if result.outcome.cause == "SIGHUP":
         sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - for the rest of the process
     timings, outcome = result.timings, result.outcome
-    rows = [
-        _row("period", timings.period.summary()),
-        _row("execution", timings.execution.summary()),
-        _row("wake-up jitter", timings.jitter.summary()),
-    ]
+    times = {"period": timings.period, "execution": timings.execution, "wake-up jitter": timings.jitter}
+    rows = [[name, *_milliseconds(histogram.summary())] for name, histogram in times.items()]
     title = (
         f"{outcome.samples} samples at {settings.rate_hz:g} Hz [ms]; {timings.missed} missed, {timings.skipped} skipped"
     )
@@ -173,9 +170,8 @@ def _end_of(settings: BenchSettings, outcome: RunOutcome) -> str:
     return f"{safe} sent {took}, the device has not said that it holds it"
 
 
-def _row(name: str, times: TimingSummary) -> list[str]:
-    values = (times.median_s, times.p99_s, times.p999_s, times.greatest_s)
-    return [name, *(f"{1e3 * value:.3f}" for value in values)]
+def _milliseconds(times: TimingSummary) -> list[str]:
+    return [f"{1e3 * value:.3f}" for value in (times.median_s, times.p99_s, times.p999_s, times.greatest_s)]
 
 
 def _exit(result: BenchResult) -> None:

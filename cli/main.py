@@ -31,10 +31,7 @@ VERBS: Mapping[str, tuple[str, str]] = MappingProxyType(
         "diagnose": ("diagnose:diagnose", "Diagnose the gap between a simulator and its device."),
         "simulate": ("simulate:simulate", "Simulate the closed loop; write a run folder and its report."),
         "tune": ("simulate:tune", "Search the settings of a controller on simulated plants."),
-        "commission": (
-            "device:commission",
-            "From a device to a verified controller, in five minutes of device time.",
-        ),
+        "commission": ("device:commission", "From a device to a verified controller, in five minutes of device time."),
         "investigate": (
             "device:investigate",
             "Record and diagnose, round by round, until a simulator's gap has a name.",

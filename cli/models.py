@@ -30,6 +30,7 @@ _COLOURS = {"ok": "green", "note": "cyan", "warning": "yellow", "error": "red"}
 # `auto` begins with its richest core, which takes longest, and ends after two of three rounds in most cases.
 _PACE: dict[str, Pace] = {"auto": ((0, 0), (0.1, 0.36), (0.42, 0.45), (0.7, 0.82), (0.8, 0.95), (1, 1))}
 _SEEN_PART = {"--command-limits": "the range", "--command-rate": "the rate"}
+_NO_COMPILER = "sources only: no C compiler was found for this machine"
 
 
 @verb("check:check", logs=LOGS, simulator=SIM)
@@ -229,16 +230,10 @@ def export_c(call: Call) -> None:
     )
 
 
-@verb(
-    "export:export_fmu",
-    simulator={
-        "flag": "SIM",
-        "metavar": "SIM",
-        "help": "A simulator (.yaml, or builtin:NAME), or the file of a closed-loop study.",
-    },
-    fmi={"kind": Literal["2.0", "3.0"]},
-    platforms={"flag": "--platform"},
-)
+_PLANT = {"flag": "SIM", "metavar": "SIM", "help": "A simulator (.yaml, builtin:NAME), or the file of a study."}
+
+
+@verb("export:export_fmu", simulator=_PLANT, fmi={"kind": Literal["2.0", "3.0"]}, platforms={"flag": "--platform"})
 def export_fmu(call: Call) -> None:
     """The input of the co-simulation FMU is the command, its output the true angle without sensor noise.
 
@@ -246,11 +241,7 @@ def export_fmu(call: Call) -> None:
     """
     made: FmuExport = call.run("export")
     facts = made.described
-    binaries = (
-        f"binaries {', '.join(made.platforms)}"
-        if made.platforms
-        else "sources only: no C compiler was found for this machine"
-    )
+    binaries = f"binaries {', '.join(made.platforms)}" if made.platforms else _NO_COMPILER
     calls = f"; calls {', '.join(made.functions)} of <math.h>" if made.functions else ""
     left_out = f"; left out: {', '.join(made.left_out)}" if made.left_out else ""
     line(

@@ -31,11 +31,7 @@ _NOTHING_KEPT = "interrupted before a run was finished: nothing is kept"
     "simulate:simulate",
     "simulate:sweep",
     config={**OPTIONAL, "metavar": "[CONFIG]", "help": "A study: plant, model, motions, controllers (YAML)."},
-    controllers={
-        "flag": "--controller",
-        "kind": list[str],
-        "help": "Add a controller from a file: NAME=controller.yaml.",
-    },
+    controllers={"flag": "--controller", "kind": list[str], "help": "Add a controller: NAME=controller.yaml."},
     out={**OPTIONAL, "help": "Run folder; new or empty, or a sweep to go on."},
     jobs=_JOBS,
 )

@@ -80,17 +80,11 @@ class Call:
 @final
 @dataclass(frozen=True)
 class Verb:
-    """Subcommand (verb) whose arguments and options are the parameters of tasks.
+    """Subcommand (verb) whose arguments and options are the parameters of tasks."""
 
-    Attributes:
-        tasks: MODULE:NAME of each function in `hystmpc.tasks`; a common parameter is that of the first.
-        shows: function that runs a task and prints its result; it may add options, and its docstring is help as well.
-        differs: by parameter, changes to the option made by `_parameter`; None for no option.
-    """
-
-    tasks: tuple[str, ...]
-    shows: Callable[..., None]
-    differs: Mapping[str, Options | None]
+    tasks: tuple[str, ...]  # MODULE:NAME in `hystmpc.tasks`; a common parameter is that of the first
+    shows: Callable[..., None]  # runs a task and prints its result; may add options, and its docstring is help as well
+    differs: Mapping[str, Options | None]  # changes to the options made by `_parameter`; None for no option
     cls: type[TyperCommand] | None = None
 
     def callback(self) -> Callable[..., None]:

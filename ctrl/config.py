@@ -29,17 +29,11 @@ class PythonControllerSettings(Settings):
         python: module and class, such as `mylab.law:SlidingMode`, of an installed package or of the working folder.
     """
 
-    model_config: ClassVar[ConfigDict] = ConfigDict(extra="allow")
+    model_config: ClassVar[ConfigDict] = ConfigDict(extra="allow")  # the external class checks its keys itself
 
     kind: Literal["python"] = "python"
     python: str = Field(pattern=MODULE_AND_CLASS)
     _read_only: str = PrivateAttr("")  # why the class is not imported, for a reader of a folder
-
-    @model_validator(mode="before")
-    @classmethod
-    def _known_keys(cls, data: Any) -> Any:
-        """Accept every key: the external class checks its keys itself."""
-        return data
 
     @model_validator(mode="after")
     def _fits_its_class(self) -> PythonControllerSettings:

@@ -67,6 +67,16 @@ def model_path(text: str, folder: Path | str = ".") -> Path:
     return Path(folder) / text
 
 
+def absolute_name(text: str, folder: Path) -> str:
+    """Name of a model as of `model_path`, absolute; `builtin:NAME` stays as it is.
+
+    Raises:
+        ModelError: on an unknown built-in name.
+    """
+    path = model_path(text, folder)
+    return text if text.startswith(BUILTIN) else str(path)
+
+
 def _shipped() -> dict[str, Path]:
     # A wheel is always unpacked, so that the folder of a resource is a real one.
     entries = (Path(str(entry)) for entry in files("hystmpc.models.library").iterdir())

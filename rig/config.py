@@ -13,8 +13,8 @@ from hystmpc.ctrl.command import LimitsSettings, ModelledLimitsSettings
 from hystmpc.ctrl.config import sensor_fault, with_sensor_facts
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.ctrl.planner.settings import TipSettings
-from hystmpc.models.load import model_path
-from hystmpc.trajectories.config import Motion, SampledSettings
+from hystmpc.models.load import absolute_name
+from hystmpc.trajectories.config import Motion, motion_in
 from hystmpc.trials.config import FolderName, NotNegative, Positive, Settings, load_settings
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.from_outside import with_kind
@@ -189,13 +189,10 @@ def load_run(path: Path | str, overrides: Iterable[str] = ()) -> RunSettings:
         ModelError: on an unknown built-in model.
     """
     settings, folder = load_settings(RunSettings, path, overrides), Path(path).resolve().parent
-    tip = settings.controller
-    files = {"model": _file(tip.model, folder), "inverse": None if tip.inverse is None else _file(tip.inverse, folder)}
-    changes: dict[str, Any] = {"controller": tip.model_copy(update=files), **located(settings, folder)}
-    if isinstance(settings.reference, SampledSettings):
-        motion = settings.reference
-        changes["reference"] = motion.model_copy(update={"file": folder / motion.file})
-    return settings.model_copy(update=changes)
+    tip, reference = settings.controller, motion_in(folder, settings.reference)
+    inverse = None if tip.inverse is None else absolute_name(tip.inverse, folder)
+    tip = tip.model_copy(update={"model": absolute_name(tip.model, folder), "inverse": inverse})
+    return settings.model_copy(update={"controller": tip, "reference": reference, **located(settings, folder)})
 
 
 def located(settings: BenchSettings, folder: Path) -> dict[str, Any]:
@@ -210,11 +207,6 @@ def located(settings: BenchSettings, folder: Path) -> dict[str, Any]:
         if not _may_latch(place):
             raise ConfigError(f"latch_file: {place} is another kind of file, expected a latch or a new file")
     return changes
-
-
-def _file(text: str, folder: Path) -> str:
-    path = model_path(text, folder)
-    return text if text.startswith("builtin:") else str(path)
 
 
 def _may_latch(file: Path) -> bool:

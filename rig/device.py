@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Generic, Literal, TextIO, TypeVar, final
+from typing import Annotated, Any, Generic, Literal, TextIO, TypeVar, final, get_args
 
 from pydantic import Field, model_validator
 
@@ -95,11 +95,12 @@ class ServerCounts:
 
 def open_link(settings: DeviceSettings) -> DeviceLink:
     """Open the device's end of the wire."""
-    faults, seed = settings.faults, settings.seed
-    faulty = any(fault.of_datagrams for fault in faults)
-    return settings.link.listen(
-        settings.watchdog_s, (lambda wire: FaultyDatagrams(wire, faults, seed)) if faulty else None
-    )
+
+    def through(wire: Datagrams) -> Datagrams:
+        return FaultyDatagrams(wire, settings.faults, settings.seed)
+
+    faulty = any(fault.of_datagrams for fault in settings.faults)
+    return settings.link.listen(settings.watchdog_s, through if faulty else None)
 
 
 @final
@@ -251,7 +252,7 @@ def serve(
     log = None
     try:
         if settings.log is not None:
-            log = _open_log(settings)
+            log = _open_log(settings.log)
         device = SimulatedDevice(settings, plant, held, link, log)
         with stopping_on_signals(flag), scheduled(settings.realtime) as notes:
             ready(link)
@@ -264,50 +265,33 @@ def serve(
             log.close()
 
 
-def _open_log(settings: DeviceSettings) -> TextIO:
-    assert settings.log is not None
+def _open_log(path: Path) -> TextIO:
     try:
-        settings.log.parent.mkdir(parents=True, exist_ok=True)
-        log = settings.log.open("a+", encoding="utf-8", buffering=1)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        log = path.open("a+", encoding="utf-8", buffering=1)
         log.seek(0)
         begins = log.read(len(_HEADER))
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise ConfigError(f"{settings.log}: cannot be written ({reason}), expected a place to log") from None
+        raise ConfigError(f"{path}: cannot be written ({reason}), expected a place to log") from None
     if begins not in ("", _HEADER):
         log.close()
-        raise ConfigError(f"{settings.log}: is another kind of file, expected a device's log or a new file")
+        raise ConfigError(f"{path}: is another kind of file, expected a device's log or a new file")
     log.write(_HEADER)
     return log
 
 
 M = TypeVar("M")
 
-
 _REMEMBERED = 50  # stored messages for a replay
 _NS = 1e9
 _STANDING = ("freeze", "blocked", "dislodged")  # faults that repeat the previous angle
-
 _TAKEN = 64  # datagrams read from the socket in one call
 
 Direction = Literal["readings", "commands"]
-FaultName = Literal[
-    "freeze",
-    "blocked",
-    "dislodged",
-    "nan",
-    "outlier",
-    "dropout",
-    "delay",
-    "jitter",
-    "reorder",
-    "duplicate",
-    "replay",
-    "stamp_jump",
-    "out_of_range",
-    "corrupt",
-]
-_SENSOR = ("freeze", "blocked", "dislodged", "nan", "outlier", "stamp_jump", "out_of_range")
+_SensorFault = Literal["freeze", "blocked", "dislodged", "nan", "outlier", "stamp_jump", "out_of_range"]
+_WireFault = Literal["dropout", "delay", "jitter", "reorder", "duplicate", "replay", "corrupt"]
+FaultName = Literal[_SensorFault, _WireFault]
 
 
 class FaultSettings(Settings):
@@ -340,9 +324,9 @@ class FaultSettings(Settings):
 
     @model_validator(mode="after")
     def _possible(self) -> FaultSettings:
-        if self.of == "commands" and self.fault in _SENSOR:
-            known = "dropout, delay, jitter, reorder, duplicate, replay, corrupt"
-            raise ValueError(f"got fault {self.fault} of commands, available for them: {known}")
+        known = get_args(_WireFault)
+        if self.of == "commands" and self.fault not in known:
+            raise ValueError(f"got fault {self.fault} of commands, available for them: {', '.join(known)}")
         return self
 
     @property
@@ -419,16 +403,13 @@ class FaultyReadings:
     def __init__(self, faults: Sequence[FaultSettings], seed: int) -> None:
         self._random, self._last = random.Random(seed), math.nan
         self._line = FaultyLine([f for f in faults if not f.of_datagrams], self._random, self._changed_content)
+        self.due = self._line.due
 
     def put(self, message: Outgoing, t_s: float) -> None:
         """Add a reading that is measured at `t_s` [s] after the first command."""
         self._line.put(message, t_s)
         if math.isfinite(message.angle) and not any(f.fault in _STANDING for f in self._line.active(t_s)):
             self._last = message.angle
-
-    def due(self, t_s: float) -> list[Outgoing]:
-        """Messages that arrive until `t_s` [s]."""
-        return self._line.due(t_s)
 
     def _changed_content(self, fault: FaultSettings, message: Outgoing) -> Outgoing:
         if fault.fault == "stamp_jump":
@@ -454,13 +435,12 @@ class FaultyDatagrams:
 
     def __init__(self, wire: Datagrams, faults: Sequence[FaultSettings], seed: int) -> None:
         self._wire, self._random, self._first_ns = wire, random.Random(seed), 0
-        datagram_faults = [f for f in faults if f.of_datagrams]
+        of_commands = [f for f in faults if f.of_datagrams and f.of == "commands"]
+        of_readings = [f for f in faults if f.of_datagrams and f.of == "readings"]
         self._in: FaultyLine[tuple[bytes, Peer]] = FaultyLine(
-            [f for f in datagram_faults if f.of == "commands"],
-            self._random,
-            lambda fault, one: (self._changed_content(fault, one[0]), one[1]),
+            of_commands, self._random, lambda fault, one: (self._spoilt(one[0]), one[1])
         )
-        self._out = FaultyLine([f for f in datagram_faults if f.of == "readings"], self._random, self._changed_content)
+        self._out: FaultyLine[bytes] = FaultyLine(of_readings, self._random, lambda fault, data: self._spoilt(data))
         self._arrived: deque[tuple[bytes, Peer]] = deque()
 
     def recvfrom(self, size: int) -> tuple[bytes, Peer]:
@@ -501,8 +481,7 @@ class FaultyDatagrams:
     def _elapsed_s(self) -> float:
         return 1e-9 * (time.monotonic_ns() - self._first_ns) if self._first_ns else -1.0
 
-    def _changed_content(self, fault: FaultSettings, data: bytes) -> bytes:
-        del fault
+    def _spoilt(self, data: bytes) -> bytes:
         spoilt, place = bytearray(data), self._random.randrange(len(data))
         spoilt[place] ^= self._random.randrange(1, 256)
         return bytes(spoilt)

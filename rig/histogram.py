@@ -16,12 +16,7 @@ BINS = 400
 
 @dataclass(frozen=True)
 class TimingSummary:
-    """Statistics of one measured time; quantiles are upper edges of their bins, NaN without a sample.
-
-    Attributes:
-        mean_s, greatest_s: mean and greatest [s].
-        median_s, p99_s, p999_s: quantiles [s].
-    """
+    """Statistics of one measured time [s]; quantiles are upper edges of their bins, NaN without a sample."""
 
     count: int  # samples
     mean_s: float

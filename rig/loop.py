@@ -23,23 +23,20 @@ from .transports.transport import Reading, Transport
 class RunOutcome:
     """Outcome of a run: cause of the stop, counts of samples, commands and faults.
 
-    Attributes:
-        stop_s, safe_s: monotonic time since the start of the stop, and of the safe command sent and, where `confirmed`,
-            held [s]; NaN without a stop, or where nothing could be sent any more.
-        in_c, left_c: samples executed wholly in C; returns to Python by reason.
+    Times are monotonic, since the start of the run [s]; NaN without a stop, or where nothing could be sent any more.
     """
 
     cause: str  # of the stop; empty after a complete run
     samples: int  # with a command, and skipped ones
-    stop_s: float
-    safe_s: float
+    stop_s: float  # of the stop
+    safe_s: float  # of the safe command sent and, where `confirmed`, held
     confirmed: bool  # whether the device has reported that it holds the safe command
     clipped: int  # commands limited by the gate
     unsent: int  # commands that the transport did not take
     refused: int  # samples with an error of the sink
     faults: dict[str, int]  # samples by fault
-    in_c: int = 0
-    left_c: dict[str, int] = field(default_factory=dict)
+    in_c: int = 0  # samples executed wholly in C
+    left_c: dict[str, int] = field(default_factory=dict)  # returns to Python by reason
 
 
 _S = 1e-9
@@ -260,7 +257,9 @@ class ControlLoop:
         self._waited = 0
         if stop := stop or self._anchor.moved:
             self._begin_stop(stop, now)
-        self._drop_phases()
+        if self._flag.ending and not isinstance(self._phase, SafeStop):  # the regular end: the way back is next
+            self._rest.clear()
+            self._phase = None
         decision = self._decide(now)
         u = self._gate.admissible(decision.u, self._clock.now_ns())
         sent = self._send(u)
@@ -305,15 +304,11 @@ class ControlLoop:
         faults = (*seen.faults, "held-unknown") if self._commands else seen.faults
         self._conclude(self._times(woke, deadline), seen, decision, held, faults)
         self._waited += 1
-        return not (over and self._given_up(over, stop))
-
-    def _given_up(self, over: str, stop: str) -> bool:
-        """Record the end of all sending with the cause of the stop and its obstacle; always return True."""
-        if not self._cause:
+        if over and not self._cause:
             self._cause, self._stop_s = stop or over, _S * (self._clock.now_ns() - self._start_ns)
         if over not in self._cause:
             self._cause = f"{self._cause}; {over}"
-        return True
+        return not over
 
     def _failed(self, cause: str, deadline: int) -> bool:
         """Record a sample in which an indispensable part has raised; return False once such samples reach `stall_s`."""
@@ -430,12 +425,6 @@ class ControlLoop:
         phase = self._to_safe(cause)
         phase.begin(now, Past([], []))
         self._phase = phase
-
-    def _drop_phases(self) -> None:
-        """Drop the remaining phases if the regular end is requested, so that the return motion is next."""
-        if self._flag.ending and not isinstance(self._phase, SafeStop):
-            self._rest.clear()
-            self._phase = None
 
     def _send(self, u: float) -> bool:
         """Send a command; return False if it was not sent."""

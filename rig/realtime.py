@@ -51,15 +51,12 @@ class MonotonicClock(Clock):
         self._spin_ns = round(1e9 * spin_s)
 
     def now_ns(self) -> int:
-        """Monotonic time [ns]."""
         return time.monotonic_ns()
 
     def boot_ns(self) -> int:
-        """Monotonic time with the suspension of the machine, where the system has it [ns]."""
         return time.monotonic_ns() if _BOOT is None else time.clock_gettime_ns(_BOOT)
 
     def wall_ns(self) -> int:
-        """Wall clock [ns since 1970]."""
         return time.time_ns()
 
     def wait_until(self, deadline_ns: int) -> None:
@@ -78,19 +75,11 @@ class SimulatedClock(Clock):
         self._ns = 1_000_000_000
 
     def now_ns(self) -> int:
-        """Time [ns]."""
         return self._ns
 
-    def boot_ns(self) -> int:
-        """Same time as `now_ns` [ns]."""
-        return self._ns
-
-    def wall_ns(self) -> int:
-        """Same time as `now_ns` [ns]."""
-        return self._ns
+    boot_ns = wall_ns = now_ns
 
     def wait_until(self, deadline_ns: int) -> None:
-        """Advance to the deadline."""
         self._ns = max(self._ns, deadline_ns)
 
 

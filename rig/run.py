@@ -15,7 +15,7 @@ from hystmpc.trials.files import write_atomically
 from hystmpc.trials.types import Vec
 
 from .config import BenchSettings
-from .experiment.phases import AwaitStart, Phase, SafeStop
+from .experiment.phases import REPEATS, AwaitStart, Phase, SafeStop
 from .histogram import Timings
 from .live.desk import Desk
 from .loop import ControlLoop, RunOutcome
@@ -33,7 +33,6 @@ _PAUSE_NS = 1_000_000
 
 Note = Callable[[str], None]
 
-_REPEATS = 5  # transmissions of the safe command
 _PATIENCE_S = 1.0  # duration of sending it to a device that does not report it
 _TOLERANCE = 0.01  # default deviation of the reported from the sent command, as a share of the range
 
@@ -148,7 +147,7 @@ def control_loop(
 
     def to_safe(cause: str) -> SafeStop:
         flag.end()  # whoever asks for something else from now on is told so
-        patience = max(_REPEATS, round(_PATIENCE_S / dt_s))
+        patience = max(REPEATS, round(_PATIENCE_S / dt_s))
         return SafeStop(way, safe, tolerance, cause, patience=patience, stays=stays)
 
     for velocity in (0.0, ramps.velocity_per_s, limits.rate):  # computed once in advance, to warm up

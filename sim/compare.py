@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -26,7 +25,7 @@ from hystmpc.trials.errors import ModelError
 from hystmpc.trials.figures import LIMIT_LOOK, LoopPanel, loop_figure
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.report import REFERENCE, Heading, KeyValues, Paragraph, Piece, Plot, Report, Table, new_figure
-from hystmpc.trials.run_folder import RunFolder
+from hystmpc.trials.run_folder import RunFolder, take_back
 from hystmpc.trials.types import Progress, parts
 
 from .config import SimulationConfig, load_simulation
@@ -65,7 +64,7 @@ def compare(config: SimulationConfig, out: Path | str | None = None, progress: P
         KeyboardInterrupt: if the user ends it before the first run is finished.
     """
     study = prepare(config)
-    folder = None if out is None else _folder(Path(out), study)
+    folder = None if out is None else _folder(Path(out), study, study.config)
     results: list[Result] = []
     tuning, running, reporting = parts(progress, _expected_s(study))
     try:
@@ -81,7 +80,7 @@ def compare(config: SimulationConfig, out: Path | str | None = None, progress: P
             raise KeyboardInterrupt
     except KeyboardInterrupt:
         if folder is not None and not results:
-            _take_back(folder.path)
+            take_back(folder.path)  # so that the command can be repeated with it
         raise
     done = StudyResult(study.config, tuple(results), {} if folder is None else folder.meta, study.warnings())
     if folder is not None:
@@ -118,23 +117,14 @@ def _runs(study: Study, progress: Progress) -> Iterator[Result]:
         yield result_of(study.config, motion, name, run)
 
 
-def _folder(path: Path, study: Study) -> RunFolder:
-    return RunFolder.create(path, study.config, seed=study.config.seed, models=study.files)
-
-
-def _take_back(path: Path) -> None:
-    """Remove a folder without a finished run, so that the command can be repeated with it."""
-    for name in ("config.yaml", "meta.json"):
-        (path / name).unlink(missing_ok=True)
-    with suppress(OSError):
-        path.rmdir()
+def _folder(path: Path, study: Study, config: SimulationConfig) -> RunFolder:
+    return RunFolder.create(path, config, seed=config.seed, models=study.files)
 
 
 def _write(folder: RunFolder, study: Study, result: Result) -> None:
     path = folder.path / result.motion / result.controller
     alone = study.config.narrowed(result.controller, result.motion)
-    run = RunFolder.create(path, alone, seed=study.config.seed, models=study.files)
-    run.write_log(log_columns(result.run))
+    _folder(path, study, alone).write_log(log_columns(result.run))
 
 
 def demo_config() -> SimulationConfig:
@@ -148,17 +138,9 @@ def demo(out: Path | str | None = None, progress: Progress | None = None) -> Stu
 
 
 _BINS = 61
-_COLUMNS = (
-    "controller",
-    "RMSE [deg]",
-    "max abs [deg]",
-    "hold error [deg]",
-    "hold command range [{unit}]",
-    "command travel [{unit}]",
-    "limit violations",
-    "step mean [ms]",
-    "step p99 [ms]",
-)
+_ERRORS = ("controller", "RMSE [deg]", "max abs [deg]", "hold error [deg]")
+_EFFORT = ("hold command range [{unit}]", "command travel [{unit}]", "limit violations")
+_COLUMNS = (*_ERRORS, *_EFFORT, "step mean [ms]", "step p99 [ms]")
 _WITH_GAINS = (PidControllerSettings, InversePidControllerSettings)
 
 
@@ -307,17 +289,13 @@ def _set_up(result: StudyResult) -> Iterator[Piece]:
         rows["hystmpc"] = result.meta["versions"].get("hystmpc")
         rows["started"] = result.meta["start"]
     yield KeyValues(rows)
-    gains = [_gains(name, s) for name, s in config.controllers.items() if isinstance(s, _WITH_GAINS)]
+    gains = {name: s.gains for name, s in config.controllers.items() if isinstance(s, _WITH_GAINS)}
     if gains:
         tuned = ", ".join(config.tuned)
         note = f" Found by search on this plant and these motions: {tuned}." if tuned else ""
         columns = ("controller", f"kp [{unit}/deg]", f"ki [{unit}/(deg s)]", f"kd [{unit} s/deg]", "dead zone [deg]")
-        yield Table(columns, gains, f"PID gains.{note}")
-
-
-def _gains(name: str, settings: PidControllerSettings | InversePidControllerSettings) -> tuple[object, ...]:
-    gains = settings.gains
-    return name, gains.kp_per_deg, gains.ki_per_deg_s, gains.kd_s_per_deg, gains.dead_zone_deg
+        rows_of = [(n, g.kp_per_deg, g.ki_per_deg_s, g.kd_s_per_deg, g.dead_zone_deg) for n, g in gains.items()]
+        yield Table(columns, rows_of, f"PID gains.{note}")
 
 
 def _metrics_table(runs: tuple[Result, ...], unit: str) -> Table:

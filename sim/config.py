@@ -12,8 +12,8 @@ from hystmpc.ctrl.command import ModelledLimitsSettings
 from hystmpc.ctrl.config import ControllerSettings, sensor_fault, with_sensor_facts
 from hystmpc.ctrl.loop import AnySensorSettings, ContinuousSensorSettings, SimulatedSensor
 from hystmpc.models.effects.place import EffectError, effect_from
-from hystmpc.models.load import model_path
-from hystmpc.trajectories.config import Motion, SampledSettings
+from hystmpc.models.load import absolute_name
+from hystmpc.trajectories.config import Motion, motion_in
 from hystmpc.trials.config import (
     FolderName,
     MisplacedError,
@@ -94,12 +94,9 @@ class PlantSettings(Settings):
             got = "none" if self.device is None else "both"
             raise ValueError(f"got {got} of simulator and device, expected one: a file or builtin:NAME, or a name")
         if self.device is None:
-            if self.parameters:
-                names = ", ".join(self.parameters)
-                raise MisplacedError(
-                    f"got {names} for a simulator, expected none: its numbers stand in its file, see mismatch",
-                    ("parameters",),
-                )
+            if names := ", ".join(self.parameters):
+                expected = "expected none: its numbers stand in its file, see mismatch"
+                raise MisplacedError(f"got {names} for a simulator, {expected}", ("parameters",))
             return self
         try:
             device_parameters(self.device, self.parameters, self.mismatch)
@@ -158,13 +155,9 @@ class SimulationConfig(Settings):
 
     def narrowed(self, controller: str, motion: str) -> Self:
         """Return the study with one controller and one motion alone."""
-        return self.model_copy(
-            update={
-                "motions": {motion: self.motions[motion]},
-                "controllers": {controller: self.controllers[controller]},
-                "tuned": tuple(name for name in self.tuned if name == controller),
-            }
-        )
+        tuned = tuple(name for name in self.tuned if name == controller)
+        one = {"motions": {motion: self.motions[motion]}, "controllers": {controller: self.controllers[controller]}}
+        return self.model_copy(update={**one, "tuned": tuned})
 
     @model_validator(mode="before")
     @classmethod
@@ -175,11 +168,8 @@ class SimulationConfig(Settings):
             sensor: AnySensorSettings = _SENSORS.validate_python(data.get("sensor", {"kind": "continuous"}))
         except ValidationError:  # the field itself says what is wrong
             return data
-        keys = sensor.estimator_keys()
-        return {
-            **data,
-            "controllers": {name: with_sensor_facts(block, keys) for name, block in data["controllers"].items()},
-        }
+        keys, blocks = sensor.estimator_keys(), data["controllers"].items()
+        return {**data, "controllers": {name: with_sensor_facts(block, keys) for name, block in blocks}}
 
     @model_validator(mode="after")
     def _controllers_fit_the_sensor(self) -> Self:
@@ -215,24 +205,16 @@ def located(
 
     def file(text: str, *keys: str) -> str:
         try:
-            path = model_path(text, folder)
+            return absolute_name(text, folder)
         except ModelError as error:
             raise ModelError(f"{where(keys)}: {'.'.join(keys)}: {error}" if where else str(error)) from None
-        return text if text.startswith("builtin:") else str(path)
 
-    motions = {
-        name: motion.model_copy(update={"file": folder / motion.file})
-        if isinstance(motion, SampledSettings)
-        else motion
-        for name, motion in config.motions.items()
-    }
     device = config.plant.simulator
     plant = {"simulator": None if device is None else file(device, "plant", "simulator")}
-    return config.model_copy(
-        update={
-            "plant": config.plant.model_copy(update=plant),
-            "model": file(config.model, "model"),
-            "inverse": None if config.inverse is None else file(config.inverse, "inverse"),
-            "motions": motions,
-        }
-    )
+    changes = {
+        "plant": config.plant.model_copy(update=plant),
+        "model": file(config.model, "model"),
+        "inverse": None if config.inverse is None else file(config.inverse, "inverse"),
+        "motions": {name: motion_in(folder, motion) for name, motion in config.motions.items()},
+    }
+    return config.model_copy(update=changes)

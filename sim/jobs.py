@@ -15,7 +15,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
 from itertools import chain, islice
-from multiprocessing.process import BaseProcess
 from typing import Any, Generic, TypeVar, final
 
 from threadpoolctl import threadpool_limits
@@ -124,7 +123,8 @@ class Processes(Backend):
                     yield result
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
-            _end(set(multiprocessing.active_children()) - ours)
+            for child in set(multiprocessing.active_children()) - ours:
+                child.terminate()
             raise
         pool.shutdown()
 
@@ -149,11 +149,6 @@ def _submitted(pool: ProcessPoolExecutor, function: Callable[[T], R], item: T) -
         future: Future[R] = Future()
         future.set_exception(error)
         return future
-
-
-def _end(children: Iterable[BaseProcess]) -> None:
-    for child in children:
-        child.terminate()
 
 
 def prepare_worker() -> None:

@@ -15,6 +15,7 @@ from hystmpc.ctrl.command import CommandLimits, LimitsSettings
 from hystmpc.ctrl.loop import LoopLog
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 from hystmpc.trials.brief import brief, in_brief
+from hystmpc.trials.clocks import runs
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.from_outside import only_reads
 from hystmpc.trials.layouts import CANONICAL
@@ -50,27 +51,19 @@ class TrackingMetrics:
     """Metrics of one closed-loop run.
 
     Errors are true angle minus reference; a hold is a reference at rest for 0.5 s or longer. Errors and holds of an
-    approach do not count; commands and times do.
-
-    Attributes:
-        rmse_deg, max_abs_deg: root mean square and greatest absolute error [deg].
-        hold_error_deg: mean absolute error over the last halves of all holds; NaN without a hold [deg].
-        hold_command_range: greatest range of the command over the last half of a hold; NaN without a hold [cmd].
-        command_travel: sum of all command changes [cmd].
-        limit_violations: samples whose command or command change is beyond the limits; anything but 0 is a fault.
-        step_mean_s, step_p99_s: execution time of a controller step, mean and 99th percentile [s].
+    approach do not count; commands and times do. Figures of holds are NaN without one.
     """
 
     rmse_deg: float
-    max_abs_deg: float
-    hold_error_deg: float
-    hold_command_range: float
-    command_travel: float
-    limit_violations: int
-    step_mean_s: float
+    max_abs_deg: float  # greatest absolute error [deg]
+    hold_error_deg: float  # mean absolute error over the last halves of all holds [deg]
+    hold_command_range: float  # greatest range of the command over the last half of a hold [cmd]
+    command_travel: float  # sum of all command changes [cmd]
+    limit_violations: int  # samples with a command, or its change, beyond the limits; anything but 0 is a fault
+    step_mean_s: float  # execution time of a controller step [s]
     __repr__ = brief
     step_p99_s: float
-    ladder: Mapping[str, int]
+    ladder: Mapping[str, int]  # samples by source of the command
 
 
 def tracking_metrics(run: ClosedLoopRun, limits: CommandLimits) -> TrackingMetrics:
@@ -94,9 +87,8 @@ def tracking_metrics(run: ClosedLoopRun, limits: CommandLimits) -> TrackingMetri
 
 def holds(reference_deg: Vec, dt_s: float) -> list[tuple[int, int]]:
     """Return start and stop (exclusive) of every stretch of at least 0.5 s over which the reference rests."""
-    still = np.abs(np.diff(reference_deg)) <= _STILL_DEG
-    edges = np.diff(np.concatenate(([0], still.astype(np.int8), [0])))
-    pairs = zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True)
+    starts, stops = runs(np.abs(np.diff(reference_deg)) <= _STILL_DEG)
+    pairs = zip(starts.tolist(), stops.tolist(), strict=True)
     return [(a, b + 1) for a, b in pairs if (b - a) * dt_s >= HOLD_S - _ROUNDING]
 
 
@@ -217,10 +209,8 @@ class StudyResult:
         from hystmpc.trials.report import Plot, Report, Table
 
         columns = ("motion", "controller", "RMSE [deg]", "max abs [deg]", "hold error [deg]", "limit violations")
-        rows = []
-        for run in self.results:
-            m = run.metrics
-            rows.append((run.motion, run.controller, m.rmse_deg, m.max_abs_deg, m.hold_error_deg, m.limit_violations))
+        scores = [(run.motion, run.controller, run.metrics) for run in self.results]
+        rows = [(*names, m.rmse_deg, m.max_abs_deg, m.hold_error_deg, m.limit_violations) for *names, m in scores]
         return Report("Closed loop in simulation", (Table(columns, rows), Plot(self.plot()))).fragment()
 
 

@@ -111,8 +111,9 @@ def prepare(config: SimulationConfig, known: ControllerModel | None = None) -> S
     motions = {name: motion.build() for name, motion in config.motions.items()}
     rest_deg = plant.true_angle if config.approach else None
     led = {name: _led_to(motion, rest_deg, plant.dt) for name, motion in motions.items()}
+    held = ModelledLimitsSettings(lower=limits.lower, upper=limits.upper, rate_per_s=limits.rate)
     study = Study(
-        config=config.model_copy(update={"limits": config.limits or _as_settings(limits)}),
+        config=config.model_copy(update={"limits": config.limits or held}),
         plant=plant,
         model=known,
         limits=limits,
@@ -141,10 +142,6 @@ def _led_to(motion: Trajectory, rest_deg: float | None, dt_s: float) -> tuple[Tr
         return motion, 0.0
     led = approached("", rest_deg, start, motion, dt_s=dt_s)
     return led.trajectory, led.approach_s
-
-
-def _as_settings(limits: CommandLimits) -> ModelledLimitsSettings:
-    return ModelledLimitsSettings(lower=limits.lower, upper=limits.upper, rate_per_s=limits.rate)
 
 
 def _try_out(study: Study, name: str, settings: AnyControllerSettings) -> None:

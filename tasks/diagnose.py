@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 
 from hystmpc.trials.files import figures_to, require_writable
 from hystmpc.trials.read import AnyLayout
+from hystmpc.trials.recording import recorded_trials
 from hystmpc.trials.types import Progress
 
-from .inputs import Logs, Model, Say, as_list, chain_or_model, recorded_trials, warn_of_units
+from .inputs import Logs, Model, Say, as_list, chain_or_model, warn_of_units
 from .outputs import check_figures
 
 if TYPE_CHECKING:

@@ -115,12 +115,7 @@ def export_fmu(
     check_output("--out", path, (FMU,), [Path(simulator)] if isinstance(simulator, Path | str) else (), force)
     plant = _plant(simulator)
     made = exported(
-        plant.simulator,
-        plant.rest,
-        name=path.stem,
-        version=fmi,
-        platforms=platforms,
-        rest_command=plant.rest_command,
+        plant.simulator, plant.rest, name=path.stem, version=fmi, platforms=platforms, rest_command=plant.rest_command
     )
     made.write(path)
     return replace(made, left_out=_left_out(plant))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -175,7 +175,7 @@ def fit(
     from hystmpc.models.kinds.kind import FitRequest
 
     chosen = chosen_kind(kind, None if drive is None else str(drive), residual)
-    logs, tests, read = as_list(trials), as_list(test), _LogReader(layout, rate_hz, sampled_hz)
+    logs, tests, read = as_list(trials), as_list(test), partial(_read, layout, rate_hz, sampled_hz)
     files = [*(seen := files_read(logs, layout)), *_unseen(tests, seen)]
     if out is not None:
         check_output("--out", out, (MODEL, SIMULATOR)[: 1 + chosen.readable], files, force, of=chosen.name)
@@ -222,23 +222,17 @@ def _scored(
     return made
 
 
-@dataclass(frozen=True)
-class _LogReader:
-    """Reader of logs at the rate of the fit; proposes a rate for a log too slow for the default one."""
-
-    layout: AnyLayout
-    rate_hz: float | None
-    sampled_hz: float | None
-
-    def __call__(self, logs: Sequence[Log], say: Say | None = None) -> list[Trial]:
-        rate_hz = DEFAULT_RATE_HZ if self.rate_hz is None else self.rate_hz
-        try:
-            return trials_at(logs, self.layout, rate_hz, self.sampled_hz, say)
-        except SlowLogError as error:
-            if self.rate_hz is not None:
-                raise
-            default = f"the default of {DEFAULT_RATE_HZ:g} Hz"
-            raise SlowLogError(error.source, error.log_hz, default, f"; add `--rate-hz {error.log_hz:.4g}`") from None
+def _read(
+    layout: AnyLayout, rate_hz: float | None, sampled_hz: float | None, logs: Sequence[Log], say: Say | None = None
+) -> list[Trial]:
+    """Read logs at the rate of the fit; propose a rate for a log too slow for the default one."""
+    try:
+        return trials_at(logs, layout, DEFAULT_RATE_HZ if rate_hz is None else rate_hz, sampled_hz, say)
+    except SlowLogError as error:
+        if rate_hz is not None:
+            raise
+        default = f"the default of {DEFAULT_RATE_HZ:g} Hz"
+        raise SlowLogError(error.source, error.log_hz, default, f"; add `--rate-hz {error.log_hz:.4g}`") from None
 
 
 def _unseen(test: Sequence[Log], seen: Sequence[Path]) -> list[Path]:

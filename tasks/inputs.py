@@ -15,8 +15,8 @@ from hystmpc.trials.config import load_settings, override
 from hystmpc.trials.errors import ConfigError, ModelError
 from hystmpc.trials.findings import gaps_text
 from hystmpc.trials.from_outside import allow_python
-from hystmpc.trials.read import AnyLayout, Log, at_rate, expand_logs, read_trials
-from hystmpc.trials.recording import require_recorded
+from hystmpc.trials.read import AnyLayout, Log, at_rate, expand_logs
+from hystmpc.trials.recording import recorded_trials
 from hystmpc.trials.tables import FrameLike
 from hystmpc.trials.trial import Trial, parts_at_gaps
 
@@ -93,19 +93,6 @@ def files_read(logs: Sequence[Log], layout: AnyLayout) -> list[Path]:
     files = [Path(log) for log in logs if isinstance(log, Path | str)]
     mapping = [Path(layout)] if isinstance(layout, str) else []
     return [*(expand_logs(files) if files or not logs else []), *mapping]
-
-
-def recorded_trials(logs: Sequence[Log], layout: AnyLayout, sampled_hz: float | None = None) -> list[Trial]:
-    """Read logs as recorded; proposed motions and misread signals are refused.
-
-    Raises:
-        LogError: if a log cannot be read, is a proposed motion, or its signals are misread.
-        ConfigError: on an unknown layout, or a rate that is no positive number.
-    """
-    trials = read_trials(logs, layout, sampled_hz=sampled_hz)
-    for trial in trials:
-        require_recorded(trial)
-    return trials
 
 
 def trials_at(

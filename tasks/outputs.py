@@ -17,19 +17,12 @@ from hystmpc.trials.run_folder import require_vacant
 
 @dataclass(frozen=True)
 class Output:
-    """A kind of output file.
+    """A kind of output file."""
 
-    Attributes:
-        what: its name, with an article, for messages.
-        endings: of its file names, in lower case.
-        format_of: function from a file to its format; empty, or a reading error, for any other file.
-        formats: permitted beginnings of the format.
-    """
-
-    what: str
-    endings: tuple[str, ...]
-    format_of: Callable[[Path], str]
-    formats: tuple[str, ...]
+    what: str  # its name, with an article, for messages
+    endings: tuple[str, ...]  # of its file names, in lower case
+    format_of: Callable[[Path], str]  # format of a file; empty, or a reading error, for any other file
+    formats: tuple[str, ...]  # permitted beginnings of the format
 
     def is_one(self, path: Path) -> bool:
         """Whether a file is of this kind, in any version."""

@@ -52,6 +52,11 @@ Motion = Annotated[AnyMotion, Field(discriminator="kind"), BeforeValidator(_know
 """Type of a field of another block: `reference: Motion`."""
 
 
+def motion_in(folder: Path, motion: AnyMotion) -> AnyMotion:
+    """Motion of a configuration in `folder`, with an absolute file name."""
+    return motion.model_copy(update={"file": folder / motion.file}) if isinstance(motion, SampledSettings) else motion
+
+
 def parse_motion(data: Any, where: str = "<memory>") -> MotionSettings:
     """Validate one motion given as plain data.
 

@@ -32,19 +32,13 @@ _MOST_SIGNALS = 64  # greatest number of listed signals of a matrix or a list
 @final
 @dataclass(frozen=True, eq=False)
 class ArrayLog(SignalLog):
-    """A `SignalLog` over named arrays, such as the variables of a MATLAB file.
-
-    Attributes:
-        variables: by name; a struct is a mapping, a struct array or a cell a list, numbers are arrays.
-        clocks: time stamps [s] of signals with separate time stamps, by name of the signal.
-        unread: advice on each variable that cannot be read, by its name.
-    """
+    """A `SignalLog` over named arrays, such as the variables of a MATLAB file."""
 
     path: str
-    variables: Mapping[str, Any]
+    variables: Mapping[str, Any]  # a struct is a mapping, a struct array or a cell a list, numbers are arrays
     note: str = ""
-    clocks: Mapping[str, Vec] = field(default_factory=dict)
-    unread: Mapping[str, str] = field(default_factory=dict)
+    clocks: Mapping[str, Vec] = field(default_factory=dict)  # time stamps [s] of signals that have their own
+    unread: Mapping[str, str] = field(default_factory=dict)  # advice on each variable that cannot be read
     times: frozenset[str] = frozenset()
 
     @property

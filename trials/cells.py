@@ -50,17 +50,11 @@ _DAY_S, _HOUR_S = 86_400, 3_600
 
 @dataclass(frozen=True, eq=False)
 class Converted:
-    """One column of a table after conversion to numbers, if possible.
+    """One column of a table after conversion to numbers, if possible."""
 
-    Attributes:
-        kind: `number`, `time` [s since the first stamp], or `text`.
-        values: (T,), not-a-number for an empty cell; None for a text.
-        fault: first cell of another kind, and the reason; None if there is none.
-    """
-
-    kind: str
-    values: Vec | None
-    fault: tuple[int, str] | None = None
+    kind: str  # `number`, `time` [s since the first stamp], or `text`
+    values: Vec | None  # (T,), not-a-number for an empty cell; None for a text
+    fault: tuple[int, str] | None = None  # first cell of another kind, and the reason; None if there is none
 
 
 def is_value(cell: str) -> bool:
@@ -78,11 +72,7 @@ def _number_like(cell: str) -> bool:
 def convert(columns: Sequence[Sequence[str]], comma_likely: bool) -> list[Converted]:
     """Convert every column of a table; a decimal mark that is certain in one column holds for all of them.
 
-    Args:
-        comma_likely: whether an ambiguous comma is a decimal mark, as in cells that semicolons separate.
-
-    Args:
-        comma_likely: whether an ambiguous comma is a decimal mark, as in cells separated by semicolons.
+    With `comma_likely` an ambiguous comma is a decimal mark, as in cells separated by semicolons.
     """
     plain = [_floats(cells) for cells in columns]
     if all(values is not None or not any("," in cell for cell in c) for values, c in zip(plain, columns, strict=True)):
@@ -182,20 +172,16 @@ def _stamp(cell: str) -> re.Match[str] | None:
 def _times(cells: Sequence[str]) -> Converted:
     """Convert dates and times of day to seconds since the first; without a date, a fall in time is midnight."""
     stamps = [None if cell.lower() in MISSING else _stamp(cell) for cell in cells]
-    known = [k for k, stamp in enumerate(stamps) if stamp is not None]
+    known, rows = [k for k, stamp in enumerate(stamps) if stamp is not None], [s for s in stamps if s is not None]
     fault = next(((k, "") for k, cell in enumerate(cells) if stamps[k] is None and cell.lower() not in MISSING), None)
-    rows = [stamps[k] for k in known]
-    days, wrong = _days([stamp for stamp in rows if stamp is not None])
-    minutes_first = all(s is not None and s["h"] and not s["sec"] and not s["a"] for s in rows) and any(
-        s is not None and s["part"] for s in rows
-    )
+    days, wrong = _days(rows)
+    minutes_first = all(s["h"] and not s["sec"] and not s["a"] for s in rows) and any(s["part"] for s in rows)
     unit = 60 if minutes_first else _HOUR_S  # 00:01.5 is a minute and a half second
-    seconds = [_second(stamp, unit) for stamp in rows if stamp is not None]
     values = np.full(len(cells), math.nan)
     if wrong is not None:
         return Converted("time", values, (known[wrong], "no such date"))
-    turn = None if any(s is not None and s["a"] for s in rows) else (60 if minutes_first else 24) * unit
-    values[known] = _since_first(days, seconds, turn)
+    turn = None if any(s["a"] for s in rows) else (60 if minutes_first else 24) * unit
+    values[known] = _since_first(days, [_second(stamp, unit) for stamp in rows], turn)
     return Converted("time", values, fault)
 
 

@@ -104,9 +104,6 @@ def require_sound(trial: Trial) -> None:
 
     Raises:
         LogError: with the finding of `check`.
-
-    Raises:
-        LogError: with the finding of `check`.
     """
     unit = suspected_unit(trial.t)
     if unit is not None and unit.certain:
@@ -144,25 +141,18 @@ _COMMANDS, _ANGLES, _ANY = (-100.0, 100.0), (-200.0, 200.0), (-np.inf, np.inf)  
 def motion_findings(trial: Trial, ranges: tuple[Range | None, Range | None]) -> Iterator[Finding]:
     """Findings on a trial with finite values and increasing time.
 
-    Args:
-        ranges: plausible values of command and angle; None for those of a bending tip.
-
-    Args:
-        ranges: plausible values of command and angle; None for those of a tip that bends.
+    `ranges` are the plausible values of command and angle; None for those of a tip that bends.
     """
-    span = float(np.ptp(trial.command))
     bends = trial.units.angle == "deg" and trial.units.command in ("mm", "bar")
     commands, angles = (ranges[0] or _COMMANDS, ranges[1] or _ANGLES) if bends else (_ANY, _ANY)
     yield _units("command", trial.command, trial.units.command, commands, bends)
     yield _units("angle", trial.angle, trial.units.angle, angles, bends)
-    if span == 0:
-        text = f"the command is {trial.command[0]:g} {trial.units.command} throughout: nothing can be identified"
-        yield Finding(Severity.ERROR, "excitation", text)
-        return
-    if np.ptp(trial.angle) == 0:
-        text = f"the angle is {trial.angle[0]:g} {trial.units.angle} throughout: nothing can be identified"
-        yield Finding(Severity.ERROR, "excitation", text)
-        return
+    signals = ("command", trial.command, trial.units.command), ("angle", trial.angle, trial.units.angle)
+    for name, values, unit in signals:
+        if np.ptp(values) == 0:
+            text = f"the {name} is {values[0]:g} {unit} throughout: nothing can be identified"
+            yield Finding(Severity.ERROR, "excitation", text)
+            return
     shift = clock_shift(trial.t, trial.command, trial.angle)
     if shift is not None:
         yield Finding(Severity.WARNING, "clocks", shift.text)
@@ -210,16 +200,14 @@ def _sign(trial: Trial) -> Finding:
     delay = f", {lag * trial.dt:.2g} s later" if lag else ""
     text = f"{slope:.3g} {trial.units.angle} per {trial.units.command} (correlation {together:.2f}{delay})"
     if abs(together) < _FOLLOWS:
-        return Finding(Severity.WARNING, "sign", f"the angle hardly follows the command: {text}{_WHY}")
+        why = "; a play wider than the motion, a long delay, or signals of two devices?"
+        return Finding(Severity.WARNING, "sign", f"the angle hardly follows the command: {text}{why}")
     if together >= 0:
         return Finding(Severity.OK, "sign", f"the angle rises with the command: {text}")
     advice = "flip one of them"
     if together > -_SURE:
         advice = "feedback, a long delay or two clocks may be why; flip one only if it is wired so"
     return Finding(Severity.WARNING, "sign", f"the angle falls as the command rises: {text}; {advice}")
-
-
-_WHY = "; a play wider than the motion, a long delay, or signals of two devices?"
 
 
 def _best_delay(trial: Trial) -> tuple[int, float]:
@@ -273,19 +261,14 @@ _FULL_LOOP = 1.2  # least ratio of the gap at the start to that half-way if play
 
 @dataclass(frozen=True)
 class HoldEnd:
-    """State at the end of a hold of the command.
-
-    Attributes:
-        angle: recorded angle nearest to the mean: the median.
-        drift: upper bound of the angle's speed: its estimate plus one standard error [angle/s].
-    """
+    """State at the end of a hold of the command."""
 
     start: int
     stop: int
     command: float
-    angle: float
+    angle: float  # recorded angle nearest to the mean: the median
     error: float
-    drift: float
+    drift: float  # upper bound of the angle's speed: its estimate plus one standard error [angle/s]
 
 
 def _first_flexure(trial: Trial, parts: Segments) -> Finding:
@@ -345,10 +328,9 @@ def _set(trial: Trial, before: HoldEnd, after: HoldEnd, top: int, opening: str) 
     return Finding(Severity.WARNING, topic, f"{text}: {what}; score later motions only (--skip-first-flexure)")
 
 
-def _rest(trial: Trial, start: int, stop: int, grain: float = 0.0) -> HoldEnd:
+def _rest(trial: Trial, start: int, stop: int, grain: float) -> HoldEnd:
     """Angle at the end of a hold; `grain` is the largest drift that a constant reading may hide."""
-    first = stop - max(2, round((stop - start) * _TAIL))
-    first = max(first, start)
+    first = max(stop - max(2, round((stop - start) * _TAIL)), start)
     t, y = trial.t[first:stop], trial.angle[first:stop]
     median = float(np.partition(y, y.size // 2)[y.size // 2])
     moment = t - t.mean()
@@ -357,14 +339,8 @@ def _rest(trial: Trial, start: int, stop: int, grain: float = 0.0) -> HoldEnd:
     grain = grain if float(np.ptp(y)) <= _SAME_READING * float(np.ptp(trial.angle)) else 0.0
     noise, seconds = float(np.std(y - y.mean() - slope * moment)), float(np.ptp(t)) or trial.dt
     error = noise / np.sqrt(power) if power > 0 else 0.0
-    return HoldEnd(
-        start,
-        stop,
-        float(np.median(trial.command[start:stop])),
-        median,
-        noise / y.size**0.5 + grain / 8,
-        abs(slope) + error + grain / seconds,
-    )
+    command, uncertain = float(np.median(trial.command[start:stop])), noise / y.size**0.5 + grain / 8
+    return HoldEnd(start, stop, command, median, uncertain, abs(slope) + error + grain / seconds)
 
 
 def _may_be_play(trial: Trial, before: HoldEnd, after: HoldEnd, top: int) -> bool:
@@ -417,11 +393,7 @@ def encoding_findings(
 ) -> tuple[list[Finding], Trial]:
     """Findings on missing-value codes, wraps and sign bits of command and angle, and the decoded trial.
 
-    Args:
-        scales: scale and offset from logged numbers to `command` and `angle`; 1 and 0 if left out.
-
-    Args:
-        scales: scale and offset by which `command` and `angle` were made of the numbers in the log, if not 1 and 0.
+    `scales` are scale and offset from logged numbers to `command` and `angle`; 1 and 0 if left out.
     """
     findings = []
     signals = {"angle": trial.angle, "command": trial.command}

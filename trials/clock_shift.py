@@ -20,10 +20,7 @@ _GRID = 1500  # greatest number of evaluated samples
 _LEAST = 50  # least number of evaluated samples of a signal
 _LONGEST = 0.5  # greatest shift as a share of the log; the rest is the common part
 _LIKE = 0.9  # least correlation at a reported shift
-_TURNS, _TURN = (
-    4,
-    0.1,
-)  # compared reversals, and their size in ranges of the command: with few, correlation is due to chance
+_TURNS, _TURN = 4, 0.1  # compared reversals, and their size in ranges of the command: fewer may be like by chance
 _KNOWN = 0.8  # correlation above which an angle follows its command, or a command its own past
 _GONE = 0.5  # correlation below which a command no longer repeats itself
 _BETTER = 0.3  # of the variance that no delay of a device explains
@@ -32,17 +29,11 @@ _LAGS_S = np.geomspace(0.1, 60.0, 9)  # time constants of a slow device, the alt
 
 @dataclass(frozen=True)
 class ClockShift:
-    """Shift of the angle's time stamps against the command's.
+    """Shift of the angle's time stamps against the command's."""
 
-    Attributes:
-        late_s: delay of the angle's stamps [s]; negative if they are early.
-        correlation: of angle and command after removal of the shift.
-        without: correlation before removal of the shift.
-    """
-
-    late_s: float
-    correlation: float
-    without: float
+    late_s: float  # delay of the angle's stamps [s]; negative if they are early
+    correlation: float  # of angle and command after removal of the shift
+    without: float  # correlation before removal of the shift
 
     @property
     def text(self) -> str:

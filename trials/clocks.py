@@ -99,15 +99,10 @@ def _resolution(t: Vec) -> float:
 
 @dataclass(frozen=True)
 class SuspectedUnit:
-    """Suspected unit of time stamps that were read as seconds.
+    """Suspected unit of time stamps that were read as seconds."""
 
-    Attributes:
-        units: the unit, or two equally likely ones, keys of `SECONDS`.
-        certain: whether the rate in seconds is impossible in this field.
-    """
-
-    units: tuple[str, ...]
-    certain: bool
+    units: tuple[str, ...]  # the unit, or two equally likely ones, keys of `SECONDS`
+    certain: bool  # whether the rate in seconds is impossible in this field
 
     @property
     def text(self) -> str:
@@ -155,17 +150,11 @@ def _likeliest(units: tuple[str, ...], step: float, turn: float | None, dated: b
 
 @dataclass(frozen=True)
 class CounterWrap:
-    """Wrap of a clock: a counter that restarts at its least value.
+    """Wrap of a clock: a counter that restarts at its least value."""
 
-    Attributes:
-        modulus: size of the fall, in the unit of the stamps.
-        bits: of the counter; 0 if the modulus is not 2^n.
-        samples: first samples after a fall.
-    """
-
-    modulus: float
-    bits: int
-    samples: tuple[int, ...]
+    modulus: float  # size of the fall, in the unit of the stamps
+    bits: int  # of the counter; 0 if the modulus is not 2^n
+    samples: tuple[int, ...]  # first samples after a fall
 
     @property
     def text(self) -> str:
@@ -175,12 +164,11 @@ class CounterWrap:
         return f"a clock that wraps at {self.modulus:.16g}"
 
 
-_PERIODS = (60.0, 3600.0, 43200.0, 86400.0)  # seconds of a minute, of an hour, of half a day, of a day
-
-
-_MODULI = {2.0**bits / scale: bits for bits in range(8, 65) for scale in (1e9, 1e6, 1e3, 1.0)} | dict.fromkeys(
-    [second * scale for second in (1.0, *_PERIODS) for scale in (1.0, 1e3, 1e6, 1e9)], 0
-)  # modulus: bits of its counter, 0 of a clock
+_PERIODS = (1.0, 60.0, 3600.0, 43200.0, 86400.0)  # seconds of a minute, of an hour, of half a day, of a day
+_SCALES = (1e9, 1e6, 1e3, 1.0)
+# Modulus: bits of its counter, 0 of a clock.
+_MODULI = {2.0**bits / scale: bits for bits in range(8, 65) for scale in _SCALES}
+_MODULI |= {second * scale: 0 for second in _PERIODS for scale in _SCALES}
 
 
 def counter_wrap(t: Vec) -> CounterWrap | None:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 
+from .segments import turning_points
 from .trial import Trial
 from .types import Vec
 
@@ -23,8 +24,8 @@ _LONGEST_S = 0.12  # noise with a longer correlation time is a motion
 _BLOCK, _QUIET = 16, 0.3  # samples of a block, and the share of the evaluated blocks: the least motion
 _LEAST_BLOCKS, _OF_QUIET = 8, 1.5  # noise over its level in the quietest blocks
 _NORMAL = 1.4826  # standard deviation over the median distance
-_FARTHER = ((2, 1.3), (4, 1.5))  # times as far apart, and by what factor white noise may seem larger then; a walk
-# would be larger by 1.4 and 2
+# Times as far apart, and by what factor white noise may seem larger then; a walk would be larger by 1.4 and 2.
+_FARTHER = ((2, 1.3), (4, 1.5))
 _LONE = 4.0  # standard deviations: larger residuals are steps or corners
 _FLAT = 2.5  # greatest ratio between the two parts of the upper half of a white spectrum
 _ROUNDED = 0.5  # of the least change: rounding has 0.29
@@ -210,25 +211,8 @@ def _one_sided(command: Vec, sigma: float, stride: int) -> tuple[Vec, Vec]:
 
 def _monotone(command: Vec, turn: float) -> Vec:
     """Monotone least-squares fit of the command between reversals of at least size `turn`."""
-    made, ends = command.copy(), _turning_points(command, turn)
-    for a, b in itertools.pairwise(ends):
+    made, turns = command.copy(), turning_points(command, turn)[1].tolist()
+    for a, b in itertools.pairwise(dict.fromkeys([0, *turns, command.size - 1])):
         rising = bool(command[b] >= command[a])
         made[a : b + 1] = isotonic_regression(command[a : b + 1], increasing=rising).x
     return made
-
-
-def _turning_points(command: Vec, turn: float) -> list[int]:
-    """First sample, reversals by more than `turn`, and last sample."""
-    turns, least, most, way = [0], 0, 0, 0
-    for k, value in enumerate(command.tolist()):
-        least = k if value < command[least] else least
-        most = k if value > command[most] else most
-        if way >= 0 and value < command[most] - turn:
-            if way > 0 or most > 0:
-                turns.append(most)
-            way, least = -1, k
-        elif way <= 0 and value > command[least] + turn:
-            if way < 0 or least > 0:
-                turns.append(least)
-            way, most = 1, k
-    return [*dict.fromkeys([*turns, command.size - 1])]

@@ -9,13 +9,13 @@ place of a number.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Annotated, Any, ClassVar, Self, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Self, TypeVar, cast
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, ValidationError, model_validator
+from pydantic_core.core_schema import CoreSchema, no_info_before_validator_function
 
 from .errors import ConfigError, did_you_mean, shown
 from .from_outside import MEMORY, given_by
@@ -251,8 +251,25 @@ def _entry(node: yaml.Node | None, part: str | int) -> tuple[int, yaml.Node] | N
     return None
 
 
-class _MisreadError(MisplacedError):
-    """Error on text or a truth value in place of a number."""
+def _number_only(value: Any) -> Any:
+    """Refuse text and truth values, which pydantic would convert to a number."""
+    if isinstance(value, str | bool):
+        raise ValueError("expected a valid number")
+    return value
+
+
+def _checked_numbers(schema: Any) -> Any:
+    """Schema of pydantic in which `_number_only` stands before every number."""
+    if isinstance(schema, list | tuple):
+        return type(schema)(map(_checked_numbers, schema))
+    if not isinstance(schema, dict):
+        return schema
+    inner = {key: part if key in _NO_SCHEMA else _checked_numbers(part) for key, part in schema.items()}
+    number = schema.get("type") in ("int", "float")
+    return no_info_before_validator_function(_number_only, cast(CoreSchema, inner)) if number else inner
+
+
+_NO_SCHEMA = ("default", "metadata", "ref", "schema_ref", "expected", "serialization")
 
 
 class Settings(BaseModel):
@@ -271,21 +288,17 @@ class Settings(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _known_keys(cls, data: Any) -> Any:
-        if isinstance(data, dict):
+        if isinstance(data, dict) and cls.model_config.get("extra") == "forbid":
             for key in data:
                 if key not in cls.model_fields:
                     raise MisplacedError(f"unknown key {key!r}, {did_you_mean(str(key), cls.model_fields)}", (key,))
         return data
 
-    @model_validator(mode="before")
     @classmethod
-    def _numbers_are_numbers(cls, data: Any) -> Any:
-        if isinstance(data, dict):
-            for key, field in cls.model_fields.items():
-                misread = _misread_number(data[key], field.annotation) if key in data else None
-                if misread is not None:
-                    raise _MisreadError(f"expected a valid number, got {shown(misread[1])}", (key, *misread[0]))
-        return data
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Schema in which text and truth values are no numbers."""
+        made: CoreSchema = _checked_numbers(handler(source))
+        return made
 
     @classmethod
     def parse(cls, data: Any, where: str | Callable[[Location], str] = MEMORY) -> Self:
@@ -305,50 +318,12 @@ class Settings(BaseModel):
             first = error.errors()[0]
             cause = first.get("ctx", {}).get("error")
             inner = getattr(cause, "at", ())
-            entry = (*first["loc"], *inner) if isinstance(cause, _MisreadError) else first["loc"]
-            path = ".".join(str(p) for p in entry) or "top level"
+            path = ".".join(str(p) for p in first["loc"]) or "top level"
             more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
             text = str(first["msg"]).removeprefix("Value error, ")
             got = "" if isinstance(first["input"], dict) else f", got {shown(first['input'])}"
             place = where if isinstance(where, str) else where((*first["loc"], *inner))
             raise ConfigError(" ".join(f"{place}: {path}: {text}{got}{more}".split())) from None
-
-
-def _misread_number(value: Any, annotation: Any) -> tuple[tuple[Any, ...], Any] | None:
-    """First text or Boolean in `value` where `annotation` allows only numbers; pydantic would convert it."""
-    members = tuple(_members(annotation))
-    if isinstance(value, str | bool):
-        kinds = set(members) - {NoneType}
-        return ((), value) if kinds and kinds <= {int, float} else None
-    for member in members:
-        for key, item, inner in _items(value, get_origin(member), get_args(member)):
-            if (misread := _misread_number(item, inner)) is not None:
-                return (key, *misread[0]), misread[1]
-    return None
-
-
-def _members(annotation: Any) -> Iterator[Any]:
-    origin = get_origin(annotation)
-    if origin is Annotated:
-        yield from _members(get_args(annotation)[0])
-    elif origin in (Union, UnionType):
-        for member in get_args(annotation):
-            yield from _members(member)
-    else:
-        yield annotation
-
-
-def _items(value: Any, origin: Any, of: tuple[Any, ...]) -> Iterator[tuple[Any, Any, Any]]:
-    """Key or index, entry and annotation of each entry of a container."""
-    if not isinstance(origin, type) or not of:
-        return
-    if isinstance(value, Mapping) and issubclass(origin, Mapping) and len(of) == 2:
-        yield from ((key, item, of[1]) for key, item in value.items())
-    elif isinstance(value, list | tuple):
-        if origin is tuple and of[-1] is not Ellipsis:
-            yield from ((k, item, inner) for k, (item, inner) in enumerate(zip(value, of, strict=False)))
-        elif issubclass(origin, Sequence):
-            yield from ((k, item, of[0]) for k, item in enumerate(value))
 
 
 S = TypeVar("S", bound=Settings)

@@ -12,6 +12,7 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from .clocks import SECONDS
 from .errors import LogError
 from .files import write_atomically
 from .formats import format_of, read_lines
@@ -133,11 +134,7 @@ def write_csv(trial: Trial, path: Path | str) -> Path:
 def open_table(log: Path | str | FrameLike, wanted: Iterable[str] = ()) -> LogTable:
     """Open delimited text, a LabVIEW measurement, a sheet of a workbook, or a data frame as a table.
 
-    Args:
-        wanted: names that identify the header row, and the sheet.
-
-    Args:
-        wanted: names that identify the header row, and the sheet.
+    The `wanted` names identify the header row, and the sheet.
     """
     if isinstance(log, FrameLike):
         return frame_table(log)
@@ -172,14 +169,11 @@ def _clock(table: LogTable, header: Sequence[str], time: str) -> str:
     return max(dates, key=lambda name: np.unique(table.numbers[name]).size)
 
 
-_TIME_UNITS = ("s", "ms", "us", "ns", "min", "h", "d")
-
-
 def _require_units(table: LogTable, expected: Mapping[str, str]) -> None:
     """Refuse a row of units that contradicts the names of the columns."""
     for name, unit in expected.items():
         said = unit_of(table.units.get(name, ""))
-        if said and said != unit and said in {*get_args(UnitName), *_TIME_UNITS} and name not in table.times:
+        if said and said != unit and said in {*get_args(UnitName), *SECONDS} and name not in table.times:
             raise LogError(
                 f"{table.source}, row {table.header_row + 1}: the unit below {name!r} is {said}, expected {unit}; "
                 "name it in a mapping file (--layout map.yaml) or correct the row"

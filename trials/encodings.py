@@ -47,19 +47,12 @@ _BETTER = 0.6  # of the variance left unexplained by the other signal, after a r
 
 @dataclass(frozen=True, eq=False)
 class Encoding:
-    """Encoding of the numbers of one signal, and the decoded signal.
+    """Encoding of the numbers of one signal, and the decoded signal."""
 
-    Attributes:
-        key: key of a mapping file that decodes it.
-        value: the code, the modulus, or the bit.
-        samples: samples with a code, or first samples after a jump.
-        values: the decoded signal (T,); not-a-number in place of codes.
-    """
-
-    key: Key
-    value: float
-    samples: tuple[int, ...]
-    values: Vec
+    key: Key  # key of a mapping file that decodes it
+    value: float  # the code, the modulus, or the bit
+    samples: tuple[int, ...]  # samples with a code, or first samples after a jump
+    values: Vec  # the decoded signal (T,); not-a-number in place of codes
 
 
 def unwrapped(values: Vec, modulus: float) -> Vec:
@@ -98,7 +91,6 @@ def encodings(values: Vec, other: Vec, dt: float, is_command: bool) -> list[Enco
         other: the command for an angle, the angle for a command (T,).
         dt: usual sample interval [s].
     """
-    repairs: list[Encoding] = []
     late = max(1, round(_LATE_S / dt))
 
     def codes(values: Vec, far_only: bool) -> list[Encoding]:
@@ -111,7 +103,7 @@ def encodings(values: Vec, other: Vec, dt: float, is_command: bool) -> list[Enco
             kept.append(code)
         return kept
 
-    repairs += codes(values, far_only=True)
+    repairs = codes(values, far_only=True)
     values = repairs[-1].values if repairs else values
     jumps, others = _jumps(values, other, late, is_command), codes(values, far_only=False)
     # Jumps of any size to one value and back indicate a code.

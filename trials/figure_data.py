@@ -48,17 +48,12 @@ def draw_part(axes: Axes, x: Vec, y: Vec, part: NDArray[np.bool_] | slice, **loo
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A line of a panel.
-
-    Attributes:
-        x, y: all of its points (N,).
-        look: colour, width [pt], dashes [pt], opacity, and whether it goes in steps to each point.
-    """
+    """A line of a panel, with all of its points x, y (N,)."""
 
     series: str
     x: Vec
     y: Vec
-    look: dict[str, Any]
+    look: dict[str, Any]  # colour, width [pt], dashes [pt], opacity, and whether it goes in steps to each point
 
 
 def curves_of(axes: Axes) -> Iterator[Curve]:
@@ -67,30 +62,23 @@ def curves_of(axes: Axes) -> Iterator[Curve]:
         if line.get_transform() != axes.transData or not line.get_visible():
             continue
         x, y = _WHOLE.get(line) or (line.get_xdata(), line.get_ydata())
-        label, opacity = str(line.get_label()), line.get_alpha()
-        yield Curve(
-            "" if label.startswith("_") else label,
-            np.asarray(x, dtype=np.float64),
-            np.asarray(y, dtype=np.float64),
-            {
-                "colour": to_hex(line.get_color()),
-                "width": float(line.get_linewidth()) if str(line.get_linestyle()) != "None" else 0.0,
-                "dash": [float(n) for n in line._dash_pattern[1] or ()],  # type: ignore[attr-defined]  # has no getter
-                "opacity": 1.0 if opacity is None else float(opacity),
-                "steps": line.get_drawstyle() == "steps-pre",
-            },
-        )
+        opacity = line.get_alpha()
+        look = {
+            "colour": to_hex(line.get_color()),
+            "width": float(line.get_linewidth()) if str(line.get_linestyle()) != "None" else 0.0,
+            "dash": [float(n) for n in line._dash_pattern[1] or ()],  # type: ignore[attr-defined]  # has no getter
+            "opacity": 1.0 if opacity is None else float(opacity),
+            "steps": line.get_drawstyle() == "steps-pre",
+        }
+        yield Curve(_label(line), np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64), look)
 
 
 def rows_of(figure: Figure) -> Iterator[tuple[object, ...]]:
     """Rows of the data table of a figure, in the columns of `COLUMNS`."""
     for number, axes in enumerate(figure.axes, start=1):
-        name = _title(axes) or str(number)
-        place = (
-            f"{number}: {name}" if name != str(number) else name,
-            _plain(axes.get_xlabel()),
-            _plain(axes.get_ylabel()),
-        )
+        name = _title(axes)
+        panel = f"{number}: {name}" if name else str(number)
+        place = panel, _plain(axes.get_xlabel()), _plain(axes.get_ylabel())
         for kind, series, points in _marks(axes):
             for point in points:
                 yield (*place, kind, series, *point)
@@ -98,11 +86,8 @@ def rows_of(figure: Figure) -> Iterator[tuple[object, ...]]:
 
 def _marks(axes: Axes) -> Iterator[tuple[str, str, Iterator[tuple[object, ...]]]]:
     for curve in curves_of(axes):
-        yield (
-            "curve" if curve.look["width"] else "point",
-            curve.series,
-            ((x, y, "") for x, y in zip(curve.x.tolist(), curve.y.tolist(), strict=True)),
-        )
+        points = ((x, y, "") for x, y in zip(curve.x.tolist(), curve.y.tolist(), strict=True))
+        yield "curve" if curve.look["width"] else "point", curve.series, points
     for bars in (each for each in axes.containers if isinstance(each, BarContainer)):
         yield "bar", _label(bars), _bars(axes, bars)
     for steps in (patch for patch in axes.patches if isinstance(patch, StepPatch)):
@@ -120,13 +105,8 @@ def _marks(axes: Axes) -> Iterator[tuple[str, str, Iterator[tuple[object, ...]]]
 def _bars(axes: Axes, bars: BarContainer) -> Iterator[tuple[object, ...]]:
     flat = bars.orientation == "horizontal"
     axis = axes.yaxis if flat else axes.xaxis
-    names = dict(
-        zip(
-            np.asarray(axis.get_ticklocs()).tolist(),
-            (_plain(t.get_text()) for t in axis.get_ticklabels()),
-            strict=False,
-        )
-    )
+    labels = (_plain(label.get_text()) for label in axis.get_ticklabels())
+    names = dict(zip(np.asarray(axis.get_ticklocs()).tolist(), labels, strict=False))
     for bar in bars.patches:
         if flat:
             middle, length = bar.get_y() + bar.get_height() / 2, bar.get_x() + bar.get_width()

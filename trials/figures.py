@@ -25,32 +25,23 @@ _ACROSS = 3  # panels in a line: a smaller loop is unreadable
 
 @dataclass(frozen=True, eq=False)
 class TrackedLine:
-    """One closed loop along a motion.
-
-    Attributes:
-        lower: command or error, (T,).
-    """
+    """One closed loop along a motion."""
 
     t: Vec
     angle_deg: Vec
-    lower: Vec
+    lower: Vec  # command or error, (T,)
     look: Look
 
 
 @dataclass(frozen=True, eq=False)
 class TrackedMotion:
-    """Closed loops along one motion.
-
-    Attributes:
-        reference_deg: (T,); not drawn if all of it is NaN.
-        approach_s: end of the approach, which does not count [s]; shaded.
-    """
+    """Closed loops along one motion."""
 
     t: Vec
-    reference_deg: Vec
+    reference_deg: Vec  # (T,); not drawn if all of it is NaN
     lines: Sequence[TrackedLine]
     title: str = ""
-    approach_s: float = 0.0
+    approach_s: float = 0.0  # end of the approach, which does not count [s]; shaded
 
 
 def tracking_figure(
@@ -88,17 +79,12 @@ def tracking_figure(
 
 @dataclass(frozen=True, eq=False)
 class SimulatedTrial:
-    """A recorded trial and simulations of it.
-
-    Attributes:
-        measured: output and its look, (T,).
-        runs: simulated outputs and their looks, (T,).
-    """
+    """A recorded trial and simulations of it."""
 
     title: str
     t: Vec
-    measured: tuple[Vec, Look]
-    runs: Sequence[tuple[Vec, Look]]
+    measured: tuple[Vec, Look]  # output and its look, (T,)
+    runs: Sequence[tuple[Vec, Look]]  # simulated outputs and their looks, (T,)
     unit: str
     first: int = 0
 
@@ -126,14 +112,10 @@ def time_figure(trials: Sequence[SimulatedTrial], error: str = "residual") -> Fi
 
 @dataclass(frozen=True, eq=False)
 class LoopPanel:
-    """Outputs over one or several commands.
-
-    Attributes:
-        curves: command, output, (T,) each, and look.
-    """
+    """Outputs over one or several commands."""
 
     title: str
-    curves: Sequence[tuple[Vec, Vec, Look]]
+    curves: Sequence[tuple[Vec, Vec, Look]]  # command, output, (T,) each, and look
 
 
 def loop_figure(panels: Sequence[LoopPanel], command_unit: str, output_unit: str) -> Figure:

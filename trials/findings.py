@@ -93,17 +93,11 @@ _STOOD = 0.02  # of the range of the command: it did not move over a gap
 
 @dataclass(frozen=True, eq=False)
 class LogClock:
-    """Time stamps of a log, with the wrap of their counter and their unit.
+    """Time stamps of a log, with the wrap of their counter and their unit."""
 
-    Attributes:
-        t: stamps [s] as read, after removal of the wraps of a counter, (T,).
-        wrap: of the counter, in `unit`.
-        unit: unit in the log, a key of `SECONDS`.
-    """
-
-    t: Vec
-    wrap: CounterWrap | None
-    unit: str
+    t: Vec  # stamps [s] as read, after removal of the wraps of a counter, (T,)
+    wrap: CounterWrap | None  # of the counter, in `unit`
+    unit: str  # unit in the log, a key of `SECONDS`
     interval: Interval | None
     suspicion: SuspectedUnit | None
 
@@ -175,13 +169,11 @@ def _jitter(forward: Vec, median: float, clock: LogClock) -> Finding:
         text = f"the stamps come in steps of {median:.3g} s, about {each:.3g} samples in each: jitter cannot be told"
         return Finding(Severity.NOTE, "jitter", text)
     spread = float(np.std(forward))
-    severity = Severity.NOTE if spread > _JITTER_SHARE * median else Severity.OK
-    return Finding(
-        severity,
-        "jitter",
+    text = (
         f"sample interval {1e3 * median:.3g} ms (median), standard deviation {1e3 * spread:.2g} ms "
-        f"({spread / median:.0%}), longest {1e3 * float(forward.max()):.3g} ms",
+        f"({spread / median:.0%}), longest {1e3 * float(forward.max()):.3g} ms"
     )
+    return Finding(Severity.NOTE if spread > _JITTER_SHARE * median else Severity.OK, "jitter", text)
 
 
 def _gaps(
@@ -258,12 +250,9 @@ def _stuck(t: Vec, command: Vec, angle: Vec) -> Finding:
     if travel[farthest] <= max(_STUCK_SHARE * span, 2 * step / gain if gain > 0 else 0.0):
         return Finding(Severity.OK, topic, text)
     start, stop = int(starts[farthest]), int(np.append(starts, angle.size)[farthest + 1]) - 1
-    return Finding(
-        Severity.NOTE,
-        topic,
-        f"{text}; from {t[start]:.6g} to {t[stop]:.6g} s it stays the same while the command travels "
-        f"{travel[farthest]:.3g}: {'a play, a ' if step else ''}dead zone or stuck sensor",
-    )
+    text += f"; from {t[start]:.6g} to {t[stop]:.6g} s it stays the same while the command travels "
+    text += f"{travel[farthest]:.3g}: {'a play, a ' if step else ''}dead zone or stuck sensor"
+    return Finding(Severity.NOTE, topic, text)
 
 
 def _sensor_step(angle: Vec) -> float:

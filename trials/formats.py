@@ -162,20 +162,16 @@ def read_lines(path: Path | str) -> list[str]:
 
 
 def read_bytes(path: Path | str, count: int | None = None, bounded: bool = True) -> bytes:
-    """Read all bytes of a file, or its first `count`.
-
-    Args:
-        bounded: whether more than `MOST_BYTES` are refused; a recording of many topics may be larger than its signals.
+    """Read all bytes of a file, or its first `count`; only with `bounded` are more than `MOST_BYTES` refused.
 
     Raises:
         LogError: if the path is missing, a folder or unreadable, or holds more than `MOST_BYTES`.
     """
     blocks, left = [], float(MOST_BYTES) if bounded else math.inf
     try:
-        if count is not None:
-            with Path(path).open("rb") as file:
-                return file.read(count)
         with Path(path).open("rb") as file:
+            if count is not None:
+                return file.read(count)
             while left >= 0 and (block := file.read(_BLOCK)):  # as much at once as there is, not as there might be
                 blocks.append(block)
                 left -= len(block)
@@ -203,9 +199,6 @@ def damaged(reason: str) -> str:
 @contextmanager
 def reading(path: Path | str, what: str) -> Iterator[None]:
     """Context for reading a file by a third-party library, which may raise any exception on a damaged file.
-
-    Raises:
-        LogError: for any exception of the library; names the file and its expected format.
 
     Raises:
         LogError: for any exception of the library; names the file and its expected format.

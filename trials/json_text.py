@@ -30,6 +30,15 @@ def file_text(data: Any, indent: int = 1) -> str:
     return json.dumps(data, indent=indent, allow_nan=False) + "\n"
 
 
+def mapping_in(file: Path) -> dict[str, Any]:
+    """Content of a JSON file that holds a mapping; empty for any other, a damaged or a missing file."""
+    try:
+        data = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return data if isinstance(data, dict) else {}
+
+
 def canonical(data: Any, default: Callable[[Any], Any] | None = None) -> str:
     """One line of JSON with sorted keys: equal texts for equal data."""
     return json.dumps(data, sort_keys=True, default=default)

@@ -19,26 +19,19 @@ from .errors import ConfigError, LogError, did_you_mean
 class Layout:
     """One layout of a delimited text log.
 
-    Attributes:
-        name: value of `--layout`.
-        summary: one line for help texts.
-        time: column of the time stamps [s].
-        command: command columns and their units; a log holds exactly one of these, or the first one takes precedence.
-        angle: column of the tip angle [deg].
-        channels: readable names of further columns; other columns keep their name in the log.
-        command_range, angle_range: least and greatest plausible value, for the quality check; None for any device.
-        other_angles: columns of an output that is no angle, and their units; a log holds one of these and `angle`.
+    A log holds exactly one of the columns `command`, or the first one takes precedence, and one of `angle` and
+    `other_angles`.
     """
 
-    name: str
-    summary: str
-    time: str
-    command: Mapping[str, str]
-    angle: str
-    channels: Mapping[str, str] = field(default_factory=dict)
-    command_range: tuple[float, float] | None = None
+    name: str  # value of `--layout`
+    summary: str  # one line for help texts
+    time: str  # column of the time stamps [s]
+    command: Mapping[str, str]  # command columns and their units
+    angle: str  # column of the tip angle [deg]
+    channels: Mapping[str, str] = field(default_factory=dict)  # readable names; other columns keep theirs
+    command_range: tuple[float, float] | None = None  # plausible values for the quality check; None for any device
     angle_range: tuple[float, float] | None = None
-    other_angles: Mapping[str, str] = field(default_factory=dict)
+    other_angles: Mapping[str, str] = field(default_factory=dict)  # columns of an output that is no angle: units
 
     def known(self) -> tuple[str, ...]:
         """Known names of the columns of time, command and output."""

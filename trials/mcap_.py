@@ -69,19 +69,13 @@ class _DamagedError(Exception):
 
 @dataclass
 class McapRecords:
-    """Messages of one file in the order in which they were written.
-
-    Attributes:
-        schemas, channels: by their ids, as read so far.
-        note: reason for an end of reading before the end of the file; empty otherwise.
-        left: bytes that may still be unpacked.
-    """
+    """Messages of one file in the order in which they were written."""
 
     path: str
-    schemas: dict[int, Any] = field(default_factory=dict)
+    schemas: dict[int, Any] = field(default_factory=dict)  # by id, as read so far
     channels: dict[int, Any] = field(default_factory=dict)
-    note: str = ""
-    left: int = field(default_factory=lambda: MOST_BYTES)
+    note: str = ""  # reason for an end of reading before the end of the file; empty otherwise
+    left: int = field(default_factory=lambda: MOST_BYTES)  # bytes that may still be unpacked
 
     def messages(self) -> Iterator[Any]:
         """Iterate over every complete message (`mcap.records.Message`), with its channel in `channels`.

@@ -100,28 +100,20 @@ def fields_of(message: Any, prefix: str = "") -> Mapping[str, float]:
 
 @dataclass(frozen=True)
 class Topic:
-    """One topic of a log.
-
-    Attributes:
-        decode: from the bytes of a message to mappings, sequences and numbers, or to an object with fields.
-    """
+    """One topic of a log."""
 
     kind: str
-    decode: Decoder
+    decode: Decoder  # from the bytes of a message to mappings, sequences and numbers, or to an object with fields
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class MessageLog(SignalLog):
-    """A `SignalLog` over messages.
-
-    Attributes:
-        messages: topic, time of the log [ns] and bytes of every message, in the order of the log.
-    """
+    """A `SignalLog` over messages."""
 
     path: str
     topics: Mapping[str, Topic]
-    messages: Sequence[tuple[str, int, bytes]]
+    messages: Sequence[tuple[str, int, bytes]]  # topic, time of the log [ns] and bytes, in the order of the log
     note: str = ""
 
     def names(self) -> tuple[str, ...]:

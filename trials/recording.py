@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -14,6 +14,7 @@ from .check import require_sound
 from .config import Settings, dump_yaml, read_yaml
 from .errors import LogError
 from .files import write_atomically
+from .read import AnyLayout, Log, read_trials
 from .trial import Trial
 
 SEPARATION_COLUMN = "separation_deg"
@@ -29,6 +30,21 @@ def require_recorded(trial: Trial) -> None:
     if SEPARATION_COLUMN in trial.channels:
         raise LogError(f"{trial.source}: is a motion proposed by a diagnosis, expected what was recorded on it")
     require_sound(trial)
+
+
+def recorded_trials(
+    logs: Log | Iterable[Log], layout: AnyLayout = "auto", sampled_hz: float | None = None
+) -> list[Trial]:
+    """Read logs as recorded, see `read_trials`; refuse what is no recording.
+
+    Raises:
+        LogError: if a log cannot be read, is a proposed motion, or its signals are misread.
+        ConfigError: on an unknown layout, or a rate that is no positive number.
+    """
+    trials = read_trials(logs, layout, sampled_hz=sampled_hz)
+    for trial in trials:
+        require_recorded(trial)
+    return trials
 
 
 MANIFEST = "manifest.yaml"

@@ -7,7 +7,7 @@ import io
 import json
 import math
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -38,14 +38,8 @@ def _style() -> mpl.RcParams:
 PALETTE: tuple[str, ...] = tuple(_style()["axes.prop_cycle"].by_key()["color"])
 MEASURED, MODEL, COMMAND, *_accents, REFERENCE = PALETTE
 ACCENTS = tuple(_accents)
-DASHES: tuple[Any, ...] = (
-    "-",
-    (0, (6, 1.5)),
-    (0, (1.5, 1)),
-    (0, (6, 1.5, 1.5, 1.5)),
-    (0, (3, 1)),
-    (0, (6, 1.5, 1.5, 1.5, 1.5, 1.5)),
-)
+_STROKES = (6, 1.5), (1.5, 1), (6, 1.5, 1.5, 1.5), (3, 1), (6, 1.5, 1.5, 1.5, 1.5, 1.5)
+DASHES: tuple[Any, ...] = ("-", *((0, strokes) for strokes in _STROKES))
 """Line styles that distinguish overlapping lines without colour."""
 
 
@@ -59,7 +53,7 @@ class StyledFigure(Figure):
 @contextmanager
 def new_figure(width: float = 7.0, height: float = 3.2) -> Iterator[StyledFigure]:
     """Context with a new figure of a size [inch] in the style of the project, without pyplot and without a display."""
-    with mpl.rc_context(_style()):
+    with style():
         yield StyledFigure(figsize=(width, height))
 
 
@@ -149,20 +143,17 @@ class Report:
 
     def html(self) -> str:
         """Self-contained HTML page with embedded styles and figures; equal pieces give equal text."""
-        blocks = [_block(piece, str(number)) for number, piece in enumerate(self.pieces, start=1)]
         folded = any(isinstance(piece, Folded) for piece in self.pieces)
-        contents = [] if folded else [block for block in blocks if block["kind"] == "heading"]
-        css = Markup(_resource("report.css"))
+        headings = [(k, piece) for k, piece in enumerate(self.pieces, start=1) if isinstance(piece, Heading)]
         script = Markup(_resource("zoom.js")) if any(plot.zoom for _, plot in _plots(self.pieces)) else ""
-        return _template().render(
-            title=self.title, subtitle=self.subtitle, blocks=blocks, contents=contents, css=css, script=script
-        )
+        looks = {"css": Markup(_resource("report.css")), "script": script}
+        parts = {"title": self.title, "subtitle": self.subtitle, "contents": [] if folded else headings}
+        return _template().render(**parts, **looks, pieces=self.pieces, draw=_drawn, numbered=True)
 
     def fragment(self) -> str:
         """HTML of title and pieces for a notebook cell; figures are bitmaps, so that cells share no ids."""
         title = f"{self.title}: {self.subtitle}" if self.subtitle else self.title
-        blocks = [_block(piece, "", _bitmap) for piece in self.pieces]
-        return _template().render(title=title, blocks=blocks, css="", script="")
+        return _template().render(title=title, pieces=self.pieces, draw=_bitmap_of, numbered=False, css="", script="")
 
     def save(self, path: Path | str) -> Path:
         """Write the page completely or not at all, and its figures into the folder of `figures_to`, if any."""
@@ -185,11 +176,7 @@ def _plots(pieces: Sequence[Piece], heading: str = "figure") -> Iterator[tuple[s
 
 
 def figure_svg(figure: Figure, prefix: str = "") -> str:
-    """Figure as an `<svg>` element for a page.
-
-    Args:
-        prefix: put before every id, so that the figures of one page do not refer to each other's parts.
-    """
+    """Figure as an `<svg>` element; the prefix of its ids keeps the figures of one page apart."""
     _print_as_it_is(figure)
     three_ticks(figure)
     out = io.StringIO()
@@ -238,8 +225,7 @@ def _print_as_it_is(figure: Figure) -> None:
             text.set_parse_math(False)
 
 
-def _bitmap(figure: Figure, prefix: str = "") -> str:
-    del prefix
+def _bitmap(figure: Figure) -> str:
     three_ticks(figure)
     out = io.BytesIO()
     with style():
@@ -247,37 +233,25 @@ def _bitmap(figure: Figure, prefix: str = "") -> str:
     return f'<img alt="" src="data:image/png;base64,{base64.b64encode(out.getvalue()).decode()}">'
 
 
-def _block(piece: Piece, number: str, drawn: Callable[[Figure, str], str] = figure_svg) -> dict[str, Any]:
-    if isinstance(piece, Heading):
-        return {"kind": "heading", "text": piece.text, "level": piece.level, "id": f"section-{number}"}
-    if isinstance(piece, Paragraph):
-        return {"kind": "paragraph", "text": piece.text}
-    if isinstance(piece, Points):
-        return {"kind": "points", "texts": piece.texts}
-    if isinstance(piece, Folded):
-        inside = [_block(each, f"{number}-{k}", drawn) for k, each in enumerate(piece.pieces, start=1)]
-        return {"kind": "folded", "text": piece.heading, "id": f"section-{number}", "blocks": inside}
-    if isinstance(piece, KeyValues):
-        return {"kind": "key_values", "rows": [(key, _cell(value)) for key, value in piece.rows.items()]}
-    if isinstance(piece, Table):
-        rows = [
-            [_cell(value) | {"marked": (i, j) in piece.marked} for j, value in enumerate(row)]
-            for i, row in enumerate(piece.rows)
-        ]
-        return {"kind": "table", "columns": piece.columns, "rows": rows, "caption": piece.caption}
-    svg = drawn(piece.figure, f"figure-{number}-")
-    zoom = Markup("")
-    if piece.zoom and drawn is figure_svg:  # inside a script element, where `<` would end it
-        data = json.dumps(zoomed(piece.figure), separators=(",", ":"), allow_nan=False)
-        zoom = Markup(data.replace("<", "\\u003c"))
-    return {"kind": "figure", "svg": Markup(svg), "caption": piece.caption, "id": f"figure-{number}", "zoom": zoom}
+def _bitmap_of(piece: Plot, prefix: str) -> tuple[Markup, Markup]:
+    del prefix
+    return Markup(_bitmap(piece.figure)), Markup("")
 
 
-def _cell(value: object) -> dict[str, object]:
-    """Text of a value and whether it is a number; floats are shown to four digits."""
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    text = ("-" if math.isnan(value) else f"{value:.4g}") if isinstance(value, float) else str(value)
-    return {"text": text, "is_number": is_number, "marked": False}
+def _drawn(piece: Plot, prefix: str) -> tuple[Markup, Markup]:
+    """Drawing of a figure, and the data by which a reader zooms into it."""
+    svg = Markup(figure_svg(piece.figure, prefix))
+    data = json.dumps(zoomed(piece.figure), separators=(",", ":"), allow_nan=False) if piece.zoom else ""
+    return svg, Markup(data.replace("<", "\\u003c"))  # in a script element, where `<` would end it
+
+
+def _is_figure(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _cell(value: object) -> str:
+    """Text of a value; floats are shown to four digits."""
+    return (f"{value:.4g}" if math.isfinite(value) else "-") if isinstance(value, float) else str(value)
 
 
 def _resource(name: str) -> str:
@@ -290,4 +264,5 @@ def _template() -> jinja2.Template:
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
     )
     environment.filters["prose"] = lambda text: Markup(_CODE.sub(r"<code>\1</code>", str(escape(text))))
+    environment.filters["cell"], environment.tests["figure"] = _cell, _is_figure
     return environment.from_string(_resource("report.html.j2"))

@@ -178,6 +178,15 @@ def require_vacant(folder: Path | str) -> None:
         raise ConfigError(f"{folder}: is a file, expected a new or empty folder")
 
 
+def take_back(folder: Path, files: Iterable[str] = (), made: bool = True) -> None:
+    """Remove the settings, the metadata and these files of a run that did not begin, and a folder `made` for it."""
+    with suppress(OSError):
+        for name in ("config.yaml", "meta.json", *files):
+            (folder / name).unlink(missing_ok=True)
+        if made:
+            folder.rmdir()
+
+
 def require_resumable(folder: Path | str) -> None:
     """Refuse a folder that is neither empty nor a run that can be resumed.
 

@@ -39,15 +39,10 @@ class SegmentRule:
 
 @dataclass(frozen=True, eq=False)
 class Segments:
-    """Segmentation of one trial of T samples.
+    """Segmentation of one trial of T samples."""
 
-    Attributes:
-        labels: a `Motion` per sample, (T,) int8.
-        reversals: samples at which the command turns: the last of each extreme, increasing.
-    """
-
-    labels: NDArray[np.int8]
-    reversals: Index
+    labels: NDArray[np.int8]  # a `Motion` per sample, (T,) int8
+    reversals: Index  # samples at which the command turns: the last of each extreme, increasing
 
     def runs(self, motion: Motion) -> list[tuple[int, int]]:
         """Start and stop (exclusive) of every uninterrupted run of one motion."""

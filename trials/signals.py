@@ -35,33 +35,20 @@ _STEP = re.compile(r"\.?([^.\[\]]+)|\[([^\[\]]+)\]")
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """One logged signal with its time stamps.
+    """One logged signal with its time stamps."""
 
-    Attributes:
-        t: time stamps [s], (T,); not-a-number throughout for a log without any.
-        values: as logged, (T,); not-a-number for null.
-        left_out: mask of samples with a missing-value code, (T,); None for none.
-    """
-
-    t: Vec
-    values: Vec
-    left_out: NDArray[np.bool_] | None = None
+    t: Vec  # time stamps [s], (T,); not-a-number throughout for a log without any
+    values: Vec  # as logged, (T,); not-a-number for null
+    left_out: NDArray[np.bool_] | None = None  # mask of samples with a missing-value code, (T,); None for none
 
 
 class SignalLog:
-    """An open log of named signals.
+    """An open log of named signals."""
 
-    Attributes:
-        path: file or folder, for messages.
-        note: note to the user on the file, such as on a truncated one; empty for none.
-        clock: signal that serves as time if none has a known name; empty for none.
-        times: names of signals of dates, converted to seconds since the first.
-    """
-
-    path: str
-    note: str
-    clock: str = ""
-    times: frozenset[str] = frozenset()
+    path: str  # file or folder, for messages
+    note: str  # to the user on the file, such as on a truncated one; empty for none
+    clock: str = ""  # signal that serves as time if none has a known name; empty for none
+    times: frozenset[str] = frozenset()  # signals of dates, converted to seconds since the first
 
     def names(self) -> tuple[str, ...]:
         """Names of all available signals."""
@@ -82,22 +69,20 @@ class SignalLog:
 
 @dataclass(frozen=True, eq=False)
 class UncheckedLog:
-    """Signals of a log on one time base, before any check of their values: time may repeat, values may be missing.
+    """Signals (T,) of a log on one time base, before any check of their values.
 
-    Attributes:
-        t, command, angle: time [s], command and output in `units`, each (T,).
-        ranges: plausible values of command and angle; None for any.
+    Time may repeat, values may be missing.
     """
 
-    t: Vec
-    command: Vec
+    t: Vec  # [s]
+    command: Vec  # in `units`, as the angle
     angle: Vec
     channels: Mapping[str, Vec]
     units: Units
     source: str
     layout: str = ""
     note: str = ""
-    ranges: tuple[tuple[float, float] | None, tuple[float, float] | None] = (None, None)
+    ranges: tuple[tuple[float, float] | None, tuple[float, float] | None] = (None, None)  # plausible; None for any
     cells: Cells | None = None
 
     def where(self, sample: int) -> str:
@@ -118,16 +103,11 @@ class UncheckedLog:
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Cells of a table behind the samples of a log.
-
-    Attributes:
-        names: columns of the log behind `t`, `command` and `angle`.
-        rows: row of the table of each sample; None if every row is a sample.
-    """
+    """Cells of a table behind the samples of a log."""
 
     table: LogTable
-    names: Mapping[str, str]
-    rows: Index | None = None
+    names: Mapping[str, str]  # columns of the log behind `t`, `command` and `angle`
+    rows: Index | None = None  # row of the table of each sample; None if every row is a sample
 
     def locate(self, sample: int, signal: str) -> tuple[int, str]:
         """Row, 1-based as an editor shows it, and text of a sample of `t`, `command` or `angle`."""

@@ -38,18 +38,12 @@ _DECLARED = re.compile("sep=([^ ])", re.IGNORECASE)  # the first line of a file 
 
 @dataclass(frozen=True)
 class Grid:
-    """Location of a table among rows of text or of a sheet.
+    """Location of a table among rows of text or of a sheet."""
 
-    Attributes:
-        delimiter: of the cells; empty if they are separate already.
-        header_row: index of the header, or of the first row of data.
-        units: cells of the row of units below the header; empty if there is none.
-    """
-
-    delimiter: str
+    delimiter: str  # of the cells; empty if they are separate already
     header: tuple[str, ...]
-    header_row: int
-    units: tuple[str, ...]
+    header_row: int  # index of the header, or of the first row of data
+    units: tuple[str, ...]  # cells of the row of units below the header; empty if there is none
     start: int
     stop: int
 
@@ -218,27 +212,20 @@ Row = tuple[int, Sequence[str]]  # its number, counted from 1 as an editor shows
 class LogTable:
     """Columns of one file or data frame.
 
-    Attributes:
-        header: names of all columns in the order of the file; `[0]`, `[1]`, ... without a header row.
-        numbers: columns of numbers, each (T,), not-a-number for empty cells and marks of missing values.
-        texts: other columns, each of length T.
-        times: names of the columns of `numbers` that were dates or times of day; seconds since the first.
-        units: entries of a row of units below the header, by column.
-        header_row: row of the header, counted from 1.
-        faults: for a column that mixes numbers and other cells: first such sample, and an addition to its error.
-        rows: function that rereads the rows for messages; None for a data frame.
+    In `numbers` empty cells and marks of missing values are not-a-number. `faults` has, for a column that mixes numbers
+    and other cells, the first such sample and an addition to its error.
     """
 
     source: str
-    header: tuple[str, ...]
-    numbers: Mapping[str, Vec]
-    texts: Mapping[str, tuple[str, ...]]
-    times: frozenset[str] = frozenset()
-    units: Mapping[str, str] = field(default_factory=dict)
+    header: tuple[str, ...]  # all columns in the order of the file; `[0]`, `[1]`, ... without a header row
+    numbers: Mapping[str, Vec]  # columns of numbers, each (T,)
+    texts: Mapping[str, tuple[str, ...]]  # other columns, each of length T
+    times: frozenset[str] = frozenset()  # columns of `numbers` that were dates or times; seconds since the first
+    units: Mapping[str, str] = field(default_factory=dict)  # entries of a row of units below the header
     named: bool = True
-    header_row: int = 1
+    header_row: int = 1  # counted from 1
     faults: Mapping[str, tuple[int, str]] = field(default_factory=dict)
-    rows: Callable[[], Sequence[Row]] | None = None
+    rows: Callable[[], Sequence[Row]] | None = None  # rereads the rows for messages; None for a data frame
 
     def locate(self, sample: int, column: str) -> tuple[int, str]:
         """Row and text of one cell; rows of a file count from 1, as in an editor, of a data frame from 0."""
@@ -340,11 +327,11 @@ def text_table(lines: Sequence[str], source: str, wanted: Iterable[str] = ()) ->
     block = _fast(lines[grid.start : stop], grid.delimiter, len(header))
     if block is None:
         kept = rows()
-        converted = convert(_columns(kept, len(header)), grid.delimiter != ",") if kept else []
+        converted = _converted(kept, len(header), grid.delimiter != ",")
     else:
         converted = [Converted("number", np.ascontiguousarray(column)) for column in block.T]
         kept = []
-    return _table(source, grid, header, converted, kept, rows, bool(grid.header))
+    return _table(source, grid, header, converted, kept, rows)
 
 
 def sheet_table(rows: Sequence[Sequence[str]], source: str, wanted: Iterable[str] = ()) -> LogTable:
@@ -355,8 +342,8 @@ def sheet_table(rows: Sequence[Sequence[str]], source: str, wanted: Iterable[str
     _require_once(header, f"{source}, row {grid.header_row + 1}")
     short = ((k + 1, rows[k]) for k in range(grid.start, grid.stop) if any(rows[k]))
     kept = _checked(((k, [*row, *[""] * (len(header) - len(row))]) for k, row in short), header, source)
-    converted = convert(_columns(kept, len(header)), comma_likely=True) if kept else []
-    return _table(source, grid, header, converted, kept, lambda: kept, bool(grid.header))
+    converted = _converted(kept, len(header), comma_likely=True)
+    return _table(source, grid, header, converted, kept, lambda: kept)
 
 
 def read_table(lines: Sequence[str], source: str) -> LogTable:
@@ -383,7 +370,6 @@ def _table(
     converted: Sequence[Converted],
     kept: Sequence[Row],
     rows: Callable[[], Sequence[Row]],
-    named: bool,
 ) -> LogTable:
     if not converted:
         raise LogError(f"{source}: header only, expected at least two rows of numbers")
@@ -393,7 +379,7 @@ def _table(
     faults = {name: c.fault for name, c in columns.items() if c.fault is not None and c.kind != "text"}
     times = frozenset(name for name, c in columns.items() if c.kind == "time")
     units = dict(zip(header, grid.units, strict=False))
-    return LogTable(source, header, whole, texts, times, units, named, grid.header_row + 1, faults, rows)
+    return LogTable(source, header, whole, texts, times, units, bool(grid.header), grid.header_row + 1, faults, rows)
 
 
 def _numbered(width: int) -> tuple[str, ...]:
@@ -436,8 +422,8 @@ def _checked(rows: Iterable[Row], header: Sequence[str], source: str) -> list[Ro
     return kept
 
 
-def _columns(rows: Sequence[Row], width: int) -> list[list[str]]:
-    return [[cells[k] for _, cells in rows] for k in range(width)]
+def _converted(rows: Sequence[Row], width: int, comma_likely: bool) -> list[Converted]:
+    return convert([[cells[k] for _, cells in rows] for k in range(width)], comma_likely) if rows else []
 
 
 def _fast(lines: Sequence[str], delimiter: str, width: int) -> Vec | None:

@@ -1,4 +1,4 @@
-"""Types common to all modules: arrays with time as first axis, and the progress of a long computation."""
+"""Types common to all modules: arrays with time as first axis, their RMS, and the progress of a long computation."""
 
 from __future__ import annotations
 
@@ -20,6 +20,12 @@ Mask = NDArray[np.bool_]
 
 Index = NDArray[np.intp]
 """Numbers of samples or rows (N,)."""
+
+
+def rms(values: Vec) -> float:
+    """Root mean square of the finite ones of the values, of any shape; NaN without one."""
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")
 
 
 class Progress(Protocol):

@@ -98,7 +98,11 @@ def tracking_phase(settings: RunSettings, threaded: bool = True, note: Note = la
     )
     assembly = assemble(tip_settings, Path())
     _fits(settings, assembly)
-    compiled = _compiled(settings, assembly)
+    compiled = None
+    if settings.realtime.backend != "python":
+        from ..compiled.loop import compiled_loop
+
+        compiled = compiled_loop(assembly.controller, settings.realtime.spin_s)
     tip = TipController(assembly, tip_settings)
     reference = settings.reference.build()
     if beyond := beyond_reach(reference(np.linspace(0.0, reference.duration_s, 1000)), assembly.workspace.model):
@@ -114,15 +118,6 @@ def tracking_phase(settings: RunSettings, threaded: bool = True, note: Note = la
     watch = model_watch(settings.plausibility, law, settings.dt_s)
     monitor = ChangeMonitor(assembly.predictor.noise, settings.dt_s, assembly.workspace.model)
     return Tracking(tip, lead_in, watch, monitor, fails, settings.sensor, threaded, compiled)
-
-
-def _compiled(settings: RunSettings, assembly: Assembly) -> CompiledLoop | None:
-    """Loop in C on the controller; None for the backend `python`, and on a system without one."""
-    if settings.realtime.backend == "python":
-        return None
-    from ..compiled.loop import compiled_loop
-
-    return compiled_loop(assembly.controller, settings.realtime.spin_s)
 
 
 def _fits(settings: RunSettings, assembly: Assembly) -> None:

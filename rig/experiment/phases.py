@@ -36,18 +36,13 @@ class PhaseInput:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """Command and status that a phase returns for a sample.
-
-    Attributes:
-        source, status: as in `Sample`.
-        reference_deg, predicted_deg: for the end of the sample, NaN without one.
-    """
+    """Command and status that a phase returns for a sample."""
 
     u: float  # wanted command; the gate decides
-    source: str
-    status: str = "ok"
-    reference_deg: float = math.nan
-    predicted_deg: float = math.nan
+    source: str  # as in `Sample`
+    status: str = "ok"  # as in `Sample`
+    reference_deg: float = math.nan  # wanted at the end of the sample, NaN without a reference [deg]
+    predicted_deg: float = math.nan  # expected there, NaN without a model [deg]
     stages_s: tuple[tuple[str, float], ...] = ()  # name and time of stages
     finished: bool = False  # whether this was the phase's last sample
     fault: str = ""  # cause of a stop, empty without one
@@ -66,6 +61,11 @@ class Past:
         self.angles_deg.append(math.nan if now.frames else now.angle_deg)
         place_frames(self.angles_deg, now.frames, dt_s)
 
+
+REPEATS = 5
+"""Least number of transmissions of the safe command at the end of a run."""
+
+_ATTEMPTS = 5  # starts of the motion of a stop
 
 REMEMBERED = 200_000
 """Samples of preparation that a controller can be told of."""
@@ -107,7 +107,10 @@ class Phase(Protocol):
 
 @final
 class CommandMotion(Phase):
-    """Open-loop motion: commands (N,) computed from the held command when the phase begins."""
+    """Open-loop motion: commands (N,) computed from the held command when the phase begins.
+
+    Skipped samples delay the motion and leave out no command.
+    """
 
     def __init__(self, name: str, commands: Callable[[float], Vec]) -> None:
         self.name, self._plan = name, commands
@@ -119,7 +122,6 @@ class CommandMotion(Phase):
         self._commands, self._k = self._plan(now.held).tolist(), 0
 
     def step(self, now: PhaseInput) -> Decision:
-        """Next command; skipped samples delay the motion and leave out no command."""
         del now
         u = self._commands[self._k]
         self._k += 1
@@ -150,9 +152,8 @@ class AwaitStart(Phase):
 class PretensionCheck(Phase):
     """Phase that ramps the command up and back and checks that the angle exists and moves with it.
 
-    Args:
-        commands: held command to the commands (N,) of the way up, and of the way back.
-        least_deg, most_deg: bounds of the angle's motion; negative where more command means less angle.
+    `commands` maps the held command to those (N,) of the way up, and of the way back. The bounds of the angle's motion
+    [deg] are negative where more command means less angle.
     """
 
     name = "pretension check"
@@ -194,8 +195,9 @@ class PretensionCheck(Phase):
 class SafeStop(Phase):
     """Motion to rest at the safe command; it ends once the device reports that it holds that command.
 
-    Every run ends with it: after its last phase, and after a stop. The safe command is sent `repeats` times at least,
-    since a wire may lose some; to a device that does not report it, `patience` times.
+    Every run ends with it: after its last phase, and after a stop. The safe command is sent five times at least, since
+    a wire may lose some; to a device that does not report it, `patience` times. A device that follows none of five
+    starts of the motion is left to its watchdog.
 
     Args:
         commands: held command and its velocity to the commands (N,) to send; where it fails, the safe command itself is
@@ -204,8 +206,6 @@ class SafeStop(Phase):
             stays armed.
         tolerance: greatest deviation of the reported command, in its unit.
         cause: of the stop; empty at the regular end of a run.
-        repeats, patience: numbers of safe commands at the end.
-        attempts: number of starts of the motion; a device that follows none of them is left to its watchdog.
         stays: called where it could finish; True sends the safe command on.
     """
 
@@ -215,14 +215,12 @@ class SafeStop(Phase):
         safe: float,
         tolerance: float,
         cause: str,
-        repeats: int = 5,
         patience: int = 25,
-        attempts: int = 5,
         stays: Callable[[], bool] = lambda: False,
     ) -> None:
         self._plan, self._safe, self._tolerance, self.cause = commands, safe, tolerance, cause
         self._end, self._stays = safe, stays
-        self._repeats, self._patience, self._attempts = repeats, patience, attempts
+        self._patience, self._attempts = patience, _ATTEMPTS
         self.name = "stop" if cause else "return"
         self._status = f"safe stop: {cause}" if cause else "ok"
         self._commands: list[float] = []
@@ -249,7 +247,7 @@ class SafeStop(Phase):
         self._k += 1
         self._rested += abs(now.held - self._end) <= 1e-9 * (1 + abs(self._end))
         self.confirmed = abs(now.reported - self._safe) <= self._tolerance
-        self.sent = self._k >= len(self._commands) and self._rested >= self._repeats
+        self.sent = self._k >= len(self._commands) and self._rested >= REPEATS
         there = self.sent and (self.confirmed or self._rested >= self._patience)
         return Decision(u, self.name, self._status, finished=there and not self._stays())
 

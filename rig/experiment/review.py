@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from hystmpc.ctrl.monitor import ChangeMonitor
 from hystmpc.models.evaluate import free_run
@@ -21,11 +21,12 @@ from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import LogError, TrajectoryError
 from hystmpc.trials.figure_data import draw_long
 from hystmpc.trials.from_outside import only_reads
+from hystmpc.trials.json_text import mapping_in
 from hystmpc.trials.layouts import CANONICAL
 from hystmpc.trials.report import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table, style
 from hystmpc.trials.run_folder import Column, RunFolder
 from hystmpc.trials.trial import Trial, Units
-from hystmpc.trials.types import Vec
+from hystmpc.trials.types import Vec, rms
 
 from ..config import RunSettings
 from ..recording.report import Log, causes, numbers, timing_table, tracked
@@ -38,17 +39,13 @@ _PREPARATION = ("move", "flexure")  # the first flexure differs from all later o
 
 @dataclass(frozen=True, eq=False)
 class ReviewedRun:
-    """Signals of a run, one row for each sample (N,): the command of the sample, all else at its end.
-
-    Attributes:
-        measured_deg, reference_deg, predicted_deg: angle measured, wanted, and predicted one sample before [deg].
-    """
+    """Signals of a run, one row for each sample (N,): the command of the sample, all else at its end."""
 
     t: Vec  # end of the sample [s]
     command: Vec
     measured_deg: Vec
     reference_deg: Vec
-    predicted_deg: Vec
+    predicted_deg: Vec  # one sample before [deg]
     free_deg: Vec  # the model's free run over the commands, without any measurement [deg]
     counted: NDArray[np.bool_]  # samples that are judged: with an angle, after the first flexure
     monitor: ChangeMonitor  # of the model
@@ -56,23 +53,17 @@ class ReviewedRun:
 
 @dataclass(frozen=True)
 class Review:
-    """Assessment of a model by a run: tracking error, prediction errors, and advice.
-
-    Attributes:
-        tracking_deg, greatest_deg: RMS and greatest measured minus wanted angle [deg]; NaN without a reference.
-        offset_deg, gain: of the line from the free run to the measured angle.
-        change: sentence on a change of the device since identification; empty with too little data.
-    """
+    """Assessment of a model by a run: tracking error, prediction errors, and advice."""
 
     advice: str  # one line: nothing is due, a new identification, or a diagnosis
-    tracking_deg: float
+    tracking_deg: float  # RMS of measured minus wanted angle [deg]; NaN without a reference
     one_step_deg: float  # RMS of measured minus the angle predicted one sample before, measurements included [deg]
     free_run_deg: float  # RMS of measured minus the model's free run [deg]
-    offset_deg: float
-    gain: float
+    offset_deg: float  # of the line from the free run to the measured angle
+    gain: float  # of that line
     corrected_deg: float  # rest of `free_run_deg` after that line: the shape that the model does not have
-    change: str = field(default="", kw_only=True)
-    greatest_deg: float = field(default=math.nan, kw_only=True)
+    change: str = field(default="", kw_only=True)  # sentence on a change of the device; empty with too little data
+    greatest_deg: float = field(default=math.nan, kw_only=True)  # greatest of measured minus wanted angle [deg]
 
     @property
     def lines(self) -> tuple[str, ...]:
@@ -133,13 +124,13 @@ def review(rows: ReviewedRun, due_above_deg: float) -> Review:
         raise LogError(f"review: {y.size} samples with an angle after preparation, expected at least {_LEAST}")
     moved = float(np.ptp(r)) > due_above_deg
     gain, offset = (float(c) for c in np.polyfit(r, y, 1)) if moved else (1.0, float(np.mean(y - r)))
-    free, corrected = _rms(y - r), _rms(y - offset - gain * r)
+    free, corrected = rms(y - r), rms(y - offset - gain * r)
     error = (rows.measured_deg - rows.reference_deg)[rows.counted]
     error = error[np.isfinite(error)]
     return Review(
         advice=_advice(free, corrected, offset, gain, due_above_deg),
-        tracking_deg=_rms(error),
-        one_step_deg=_rms((rows.measured_deg - rows.predicted_deg)[rows.counted]),
+        tracking_deg=rms(error),
+        one_step_deg=rms((rows.measured_deg - rows.predicted_deg)[rows.counted]),
         free_run_deg=free,
         offset_deg=offset,
         gain=gain,
@@ -181,18 +172,10 @@ def _free_run(model: LoadedModel, settings: RunSettings, command: Vec, sequence:
     row = np.searchsorted(place, np.arange(place[-1] + 1), side="right") - 1
     sent, lag_s = command[row], settings.controller.actuator_lag_s
     if lag_s > 0:
-        sent = _lagged(sent, 1 - math.exp(-settings.dt_s / lag_s))
+        keep = math.exp(-settings.dt_s / lag_s)
+        sent = lfilter([1 - keep], [1, -keep], sent, zi=[keep * sent[0]])[0]
     finite = angle[np.isfinite(angle)]
     return free_run(model, sent, float(finite[0]) if finite.size else 0.0)[place]
-
-
-def _lagged(u: Vec, share: float) -> Vec:
-    """Commands after a first-order lag that completes `share` of every step within a sample."""
-    out, now = np.empty_like(u), float(u[0])
-    for k, target in enumerate(u.tolist()):
-        now += share * (target - now)
-        out[k] = now
-    return out
 
 
 def _advice(free: float, corrected: float, offset: float, gain: float, bar: float) -> str:
@@ -207,11 +190,6 @@ def _advice(free: float, corrected: float, offset: float, gain: float, bar: floa
         f"a diagnosis is due: the free run is off by {free:.2f} deg RMS and by {corrected:.2f} deg even behind the "
         f"best line, so the model lacks an effect; `diagnose` takes {TRIAL_FILE} of this folder"
     )
-
-
-def _rms(values: Vec) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(known**2))) if known.size else math.nan
 
 
 @only_reads()
@@ -231,13 +209,8 @@ def review_run(folder: Path, more: Sequence[Piece] = ()) -> Review:
         rows = compare_with_model(run, settings)
         verdict = review(rows, settings.review.due_above_deg)
         usable = np.isfinite(rows.measured_deg)
-        trial = Trial(
-            rows.t[usable],
-            rows.command[usable],
-            rows.measured_deg[usable],
-            units=Units(settings.command_unit),
-        )
-        write_csv(trial, folder / TRIAL_FILE)
+        signals = rows.t[usable], rows.command[usable], rows.measured_deg[usable]
+        write_csv(Trial(*signals, units=Units(settings.command_unit)), folder / TRIAL_FILE)
     except (LogError, TrajectoryError) as error:
         verdict = Review(f"not judged: {error}", *(math.nan,) * 6)
     write_page(run, settings, rows, verdict, more)
@@ -248,13 +221,12 @@ def write_page(
     run: RunFolder, settings: RunSettings, rows: ReviewedRun | None, verdict: Review, more: Sequence[Piece] = ()
 ) -> Path:
     """Write report.html of a run; `rows` is None with too few samples, `more` follows the advice."""
-    timing = _timing(run.path / "timing.json")
+    timing = mapping_in(run.path / "timing.json")
     outcome = timing.get("outcome", {})
     pieces: list[Piece] = []
     if not timing:
-        pieces.append(
-            Paragraph("The program was killed before it could say how the run ended: there is no timing.json.")
-        )
+        killed = "The program was killed before it could say how the run ended: there is no timing.json."
+        pieces.append(Paragraph(killed))
     elif outcome.get("cause"):
         pieces.append(Heading(f"Stopped: {outcome['cause']}"))
         pieces.append(Paragraph("The stop is latched. Look at the device, then run again with `--reset`."))
@@ -262,27 +234,16 @@ def write_page(
     log = run.log()
     pieces += [*more, Heading("Run"), KeyValues(_figures(settings, verdict, log, timing))]
     if rows is not None:
+        figure = tracked(rows.t, rows.reference_deg, rows.measured_deg, rows.command, settings.command_unit)
         pieces += [
             Heading("Tracking"),
-            Plot(
-                tracked(rows.t, rows.reference_deg, rows.measured_deg, rows.command, settings.command_unit),
-                "Reference, measured angle and command over time.",
-                zoom=True,
-            ),
+            Plot(figure, "Reference, measured angle and command over time.", True),
             Heading("Predicted and measured angle"),
             Plot(_prediction(rows), "Measured less predicted angle: one sample ahead, and in a free run.", True),
         ]
     pieces += [*_timing_pieces(timing, settings.dt_s), Heading("Stages of a sample"), timing_table(log), *causes(log)]
     run_page = Report("Run at the bench", tuple(pieces), f"{settings.name}, {run.meta.get('start', '')}")
     return run.write_report(run_page)
-
-
-def _timing(file: Path) -> dict[str, Any]:
-    try:
-        data = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return data if isinstance(data, dict) else {}
 
 
 def _figures(settings: RunSettings, verdict: Review, log: Log, timing: Mapping[str, Any]) -> dict[str, object]:

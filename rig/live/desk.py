@@ -164,10 +164,7 @@ class Controls:
         return None
 
     def take(self, path: str, headers: Mapping[str, str], body: bytes) -> tuple[HTTPStatus, str]:
-        """Answer an HTTP request with this path, headers (any case) and body; wait for the reply of the run.
-
-        It waits for the run's answer.
-        """
+        """Answer an HTTP request with this path, headers (any case) and body; wait for the reply of the run."""
         if refused := self.refusal(path, headers, body):
             return refused
         if self.is_estop(path):

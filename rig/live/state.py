@@ -11,7 +11,7 @@ from typing import final
 import numpy as np
 
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.types import Vec
+from hystmpc.trials.types import Vec, rms
 
 from ..histogram import Histogram
 from ..recording.sample import Sample, ThreadedSink
@@ -73,13 +73,11 @@ class LiveState:
         if not self._count:
             return False
         rows = np.array(self._recent)
-        error = rows[:, 1] - rows[:, 2]
-        known = error[np.isfinite(error)]
         span = float(rows[-1, 0] - rows[0, 0])
         # Counted from the start, so that a point that was shown stays where it was.
         shown = rows[(self._stride - 1 - (self._count - len(rows))) % self._stride :: self._stride]
         self.t, self.reference, self.angle, self.command = shown.T
-        self.rms_deg = float(np.sqrt(np.mean(known**2))) if known.size else math.nan
+        self.rms_deg = rms(rows[:, 1] - rows[:, 2])
         self.rate_hz = (len(rows) - 1) / span if span > 0 else math.nan
         return True
 

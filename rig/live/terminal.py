@@ -18,20 +18,12 @@ from hystmpc.trials.types import Vec
 from .state import WINDOW_S, LiveState, LiveView
 
 _DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
-
 _EMPTY = 0x2800
-
-
 _LINE_EVERY = 80  # of the periods, where there is no terminal to draw on
 _PLOT_ROWS = 9
 _RECENT_S = 3.0  # a fault younger than this is shown as present
-_STATE_COLOURS = {
-    "mpc": "green",
-    "stop": "white on red",
-    "hold": "yellow",
-    "inverse": "yellow",
-    "shifted plan": "yellow",
-}
+_FALLBACKS = dict.fromkeys(("hold", "inverse", "shifted plan"), "yellow")
+_STATE_COLOURS = {"mpc": "green", "stop": "white on red", **_FALLBACKS}
 
 
 def limits_of(*curves: Vec, least_span: float) -> tuple[float, float]:

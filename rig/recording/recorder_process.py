@@ -25,7 +25,7 @@ from typing import Any, BinaryIO, final
 
 from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError, HystmpcError
-from hystmpc.trials.run_folder import RunFolder
+from hystmpc.trials.run_folder import RunFolder, take_back
 
 from ..live.desk import Access, Desk, Reply
 from ..safety.stop import STOPPING
@@ -124,17 +124,8 @@ def open_recorder_process(
     try:
         return RecorderProcess(order | more, rate_hz, tell, desk)
     except ConfigError:
-        _take_back(path, made)
+        take_back(path, ("log.csv", "log.mcap"), made)
         raise
-
-
-def _take_back(folder: Path, made: bool) -> None:
-    """Restore the folder to its earlier state: empty, or missing."""
-    with suppress(OSError):
-        for name in ("config.yaml", "meta.json", "log.csv", "log.mcap"):
-            (folder / name).unlink(missing_ok=True)
-        if made:
-            folder.rmdir()
 
 
 @final

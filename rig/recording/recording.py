@@ -6,9 +6,9 @@ import csv
 import io
 import json
 import logging
-import math
 import os
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
@@ -17,6 +17,7 @@ from typing import IO, Any, Protocol, cast, final
 from hystmpc.trials import mcap_
 from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.json_text import plain
 from hystmpc.trials.layouts import COMMAND_UNITS
 from hystmpc.trials.run_folder import RunFolder
 
@@ -119,7 +120,8 @@ class Recording(ThreadedSink):
             self._logs = _open_logs(run.path, meta)
         except OSError as error:
             raise ConfigError(f"{run.path}: log cannot be written ({error.strerror or error})") from None
-        self._written = self._on_disk = self.unwritable = 0
+        self._written = self.unwritable = 0
+        self.on_disk = 0  # samples that are safe from a kill of this process
         self._due_s = monotonic()
         self._thread.start()
 
@@ -127,11 +129,6 @@ class Recording(ThreadedSink):
     def dropped(self) -> int:
         """Number of samples not recorded: queue full, recording ended, or samples not writable."""
         return super().dropped + self.unwritable
-
-    @property
-    def on_disk(self) -> int:
-        """Number of samples on the disk, safe from a kill of this process."""
-        return self._on_disk
 
     def close(self) -> None:
         """Write the remaining samples, the summary and the report, once; failures are reported, not raised."""
@@ -142,14 +139,14 @@ class Recording(ThreadedSink):
             return
         if self.dropped:
             self._tell(f"{self.run.path}: {self.dropped} samples are not in the log")
-        if self._on_disk and self._wants_report:
+        if self.on_disk and self._wants_report:
             self._report()
 
     def _turn(self, samples: list[Sample], ending: bool) -> bool:
         try:
             self._add(samples)
             now = monotonic()
-            if self._written > self._on_disk and (now >= self._due_s or ending):
+            if self._written > self.on_disk and (now >= self._due_s or ending):
                 self._flush()
                 self._due_s = now + FLUSH_S
             if ending:
@@ -171,22 +168,20 @@ class Recording(ThreadedSink):
     def _flush(self) -> None:
         for log in self._logs:
             log.flush()
-        self._on_disk = self._written
-        self._on_flush(self._on_disk)
+        self.on_disk = self._written
+        self._on_flush(self.on_disk)
 
     def _stop(self, error: OSError) -> None:
         """End the recording without an effect on the run."""
         self._waiting.closed = True
-        self.unwritable += len(self._waiting.take()) + self._written - self._on_disk
+        self.unwritable += len(self._waiting.take()) + self._written - self.on_disk
         self.problem = (
             f"{self.run.path}: recording has stopped ({error.strerror or error}); "
-            f"{self._on_disk} samples are on the disk; the run goes on"
+            f"{self.on_disk} samples are on the disk; the run goes on"
         )
         for log in self._logs:
-            try:
+            with suppress(OSError):  # what was flushed is on the disk; there is nothing left to save
                 log.close()
-            except OSError:  # what was flushed is on the disk; there is nothing left to save
-                continue
         self._tell(self.problem)
 
     def _report(self) -> None:
@@ -368,13 +363,9 @@ class McapLog:
         if self._start_ns is None:
             self._start_ns = max(int(sample.wall_ns) - elapsed, 0)
         stamp = max(self._start_ns + elapsed, 0)
-        self._put(self._tip, stamp, sample, {name: _number(x) for name, x in sample.motion(self._command).items()})
-        timing: dict[str, Any] = {
-            "period_s": _number(sample.period_s),
-            "lateness_s": _number(sample.lateness_s),
-            "missed": bool(sample.missed),
-        }
-        timing |= {stage_column(name): _number(spent) for name, spent in sample.stages_s}
+        self._put(self._tip, stamp, sample, sample.motion(self._command))
+        timing = {"period_s": sample.period_s, "lateness_s": sample.lateness_s, "missed": bool(sample.missed)}
+        timing |= {stage_column(name): spent for name, spent in sample.stages_s}
         self._put(self._timing, stamp, sample, timing)
         now = sample.source, tuple(sample.faults)
         if now != self._before or sample.missed:
@@ -401,7 +392,7 @@ class McapLog:
         return self._writer.register_channel(topic, "json", schema)
 
     def _put(self, channel: int, stamp: int, sample: Sample, message: dict[str, Any]) -> None:
-        data = json.dumps(message, allow_nan=False).encode()
+        data = json.dumps(plain(message), allow_nan=False).encode()
         publish = min(max(int(sample.wall_ns), 0), (1 << 64) - 1)
         self._writer.add_message(channel, stamp, data, publish, int(sample.sequence) & 0xFFFFFFFF)
 
@@ -432,8 +423,3 @@ def _event(sample: Sample, stamp: int) -> dict[str, Any]:
         "line": 0,
         "faults": faults,
     }
-
-
-def _number(value: float) -> float | None:
-    number = float(value)
-    return number if math.isfinite(number) else None

@@ -13,7 +13,7 @@ from hystmpc.trials.figures import TrackedLine, TrackedMotion, tracking_figure
 from hystmpc.trials.layouts import CANONICAL
 from hystmpc.trials.report import MEASURED, Heading, KeyValues, Paragraph, Piece, Plot, Report, Table, style
 from hystmpc.trials.run_folder import Column, RunFolder
-from hystmpc.trials.types import Vec
+from hystmpc.trials.types import Vec, rms
 
 Log = Mapping[str, Column]
 
@@ -76,7 +76,7 @@ def _figures(log: Log, dropped: int) -> dict[str, object]:
     known = error[np.isfinite(error)]
     figures: dict[str, object] = {"samples": t.size, "duration [s]": float(t[-1] - t[0])}
     if known.size:
-        figures["RMS tracking error [deg]"] = float(np.sqrt(np.mean(known**2)))
+        figures["RMS tracking error [deg]"] = rms(known)
         figures["greatest error [deg]"] = float(np.abs(known).max())
     return figures | {
         "samples without an angle": int(np.count_nonzero(~np.isfinite(angle))),

@@ -19,19 +19,13 @@ _QUEUE_S = 30.0  # how long a disk, a terminal or another process may be stuck b
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One sample of the control loop; the angle is the one from which the controller chose the command.
-
-    Attributes:
-        command: command really sent, in the unit of the run's configuration; of the source `wait`, the one that the
-            device reports, since nothing was sent.
-        taken_s: when the measured angle was taken, on the clock of `t_s`: earlier for a frame; NaN without one [s].
-    """
+    """One sample of the control loop; the angle is the one from which the controller chose the command."""
 
     t_s: float  # monotonic time since the start of the run [s]
     wall_ns: int  # wall clock [ns since 1970]; it may jump, `t_s` may not
     reference_deg: float  # wanted angle at the end of the sample [deg]
     measured_deg: float  # measured angle, NaN without a usable one [deg]
-    command: float
+    command: float  # really sent, in the run's unit; of the source `wait` the reported one, since nothing was sent
     source: str  # origin: mpc, shifted plan, inverse, hold, stop, wait, return, await start, or a preparation step
     status: str  # one line of explanation
     predicted_deg: float  # angle predicted for the end of the sample, NaN without one [deg]
@@ -41,7 +35,7 @@ class Sample:
     missed: bool  # whether the command was sent after the end of the sample
     faults: tuple[str, ...]  # names of the faults in this sample
     sequence: int  # number of the sample, counted from 0
-    taken_s: float = math.nan
+    taken_s: float = math.nan  # when the angle was taken, on the clock of `t_s`: earlier for a frame; NaN without one
 
     def motion(self, command: str) -> dict[str, float]:
         """Time, command and angles by the name of their column; `command` is that of the command, as `command_mm`."""

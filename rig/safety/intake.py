@@ -112,12 +112,9 @@ class ObservedFrame:
 class Observation:
     """Checked measurements of one sample.
 
-    Attributes:
-        held: the command that the device holds, from a new reading that is not stale, whatever its angle; NaN without
-            one, or where the device does not listen to this session.
-        frames: accepted in this sample, in the order of arrival; none of a continuous sensor.
-        shown_deg: the newest angle that is not stale, accepted or not; NaN without one [deg]. Limits of the tip are
-            judged by it: an implausible angle may be true.
+    `held` is the command that the device holds, from a new reading that is not stale, whatever its angle; NaN without
+    one, or where the device does not listen to this session. Limits of the tip are judged by `shown_deg`, since an
+    implausible angle may be true.
     """
 
     angle_deg: float  # newest accepted angle, NaN without a new one
@@ -125,9 +122,9 @@ class Observation:
     dead: str  # cause of a stop, empty without one
     held: float = math.nan
     follows: bool = True  # whether the device holds recent commands; True without reports
-    frames: tuple[ObservedFrame, ...] = ()
+    frames: tuple[ObservedFrame, ...] = ()  # accepted, in the order of arrival; none of a continuous sensor
     age_s: float = 0.0  # of `angle_deg`: 0 of a continuous sensor, which shows the present [s]
-    shown_deg: float = math.nan
+    shown_deg: float = math.nan  # newest angle that is not stale, accepted or not; NaN without one [deg]
 
 
 @final

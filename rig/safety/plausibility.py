@@ -183,9 +183,8 @@ class ModelWatch:
 
     def numbers(self) -> Mapping[str, float]:
         """Parameters and state of the same rule in C, which ends at half of the samples."""
-        bound = self._bound if self._on else math.inf
         return {
-            "departure_bound": bound,
+            "departure_bound": self._bound if self._on else math.inf,
             "departures_most": max(math.floor(self._longest), 1),
             "departures": self._samples,
         }
@@ -225,15 +224,12 @@ class DriveFollowing:
         """Recently sent commands, at most as many as the window has samples, for the same rule in C."""
         count = max(min(most, int(1e-9 * self._window_ns / dt_s)), 1)
         commands = [u for _, u in self._sent][-count:]
-        recent = (ctypes.c_double * most)(*commands)
-        tolerance = -1.0 if self._tolerance is None else self._tolerance
-        next_ = len(commands) % count
         return {
-            "recent": recent,
+            "recent": (ctypes.c_double * most)(*commands),
             "recent_count": len(commands),
-            "recent_next": next_,
+            "recent_next": len(commands) % count,
             "recent_most": count,
-            "tolerance": tolerance,
+            "tolerance": -1.0 if self._tolerance is None else self._tolerance,
         }
 
     def judge(self, held: float, sent: float, now_ns: int) -> tuple[bool, str]:

@@ -13,7 +13,7 @@ from threading import Thread
 from typing import Any, ClassVar, Literal, TypeVar, final
 
 import numpy as np
-from pydantic import ConfigDict, Field, PrivateAttr, model_validator
+from pydantic import ConfigDict, Field, PrivateAttr
 
 from hystmpc.trials.errors import ConfigError, did_you_mean
 from hystmpc.trials.from_outside import MODULE_AND_CLASS, class_named, working_folder
@@ -265,17 +265,11 @@ class PythonSettings(TransportBase):
         python: module and class, such as `mylab.bus:Bus`, of an installed package or of the working folder.
     """
 
-    model_config: ClassVar[ConfigDict] = ConfigDict(extra="allow")
+    model_config: ClassVar[ConfigDict] = ConfigDict(extra="allow")  # `open` checks the arguments against the class
 
     kind: Literal["python"] = "python"
     python: str = Field(pattern=MODULE_AND_CLASS)
     _instance: Transport | None = PrivateAttr(None)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _known_keys(cls, data: Any) -> Any:
-        """Accept every key as an argument; `open` checks them against the class."""
-        return data
 
     @classmethod
     def of(cls, transport: Transport) -> PythonSettings:

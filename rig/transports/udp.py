@@ -86,17 +86,9 @@ class Datagram:
 
 def encode(message: Datagram) -> bytes:
     """The bytes of a datagram (44,); sequence and session wrap at 2^32."""
-    body = _BODY.pack(
-        MAGIC,
-        VERSION,
-        message.kind,
-        0,
-        message.session & 0xFFFFFFFF,
-        message.sequence & 0xFFFFFFFF,
-        message.stamp_ns & 0xFFFFFFFFFFFFFFFF,
-        message.value,
-        message.held,
-    )
+    session, sequence = message.session & 0xFFFFFFFF, message.sequence & 0xFFFFFFFF
+    stamp_ns, numbers = message.stamp_ns & 0xFFFFFFFFFFFFFFFF, (message.value, message.held)
+    body = _BODY.pack(MAGIC, VERSION, message.kind, 0, session, sequence, stamp_ns, *numbers)
     return body + _CRC.pack(zlib.crc32(body))
 
 

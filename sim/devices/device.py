@@ -71,13 +71,9 @@ class Quantities:
 
 @dataclass(frozen=True)
 class NamedDevice:
-    """Simulated device that settings files refer to by name.
-
-    Attributes:
-        varied: parameters that differ from one specimen to the next, which a tuning draws where nothing else is said.
-    """
+    """Simulated device that settings files refer to by name."""
 
     name: str
     make: Callable[[Any], Device]
     parameters: type[Any]
-    varied: tuple[str, ...]
+    varied: tuple[str, ...]  # parameters that differ between specimens, which a tuning draws where left out

@@ -56,7 +56,11 @@ def device_parameters(name: str, parameters: Mapping[str, float], factors: Mappi
             if whole and (block == "mismatch" or number != round(number)):
                 raise DeviceError(f"{name}.{key}: got {given[key]:g}, expected a whole number, no factor", (block, key))
             values[key] = int(number) if whole else float(number)
-            _check_bounds(f"{name}.{key}", values[key], known[key].metadata, (block, key))
+            about = known[key].metadata
+            (lower, upper), unit = about["bounds"], "" if about["unit"] == "1" else f" {about['unit']}"
+            if not (math.isfinite(values[key]) and lower <= values[key] <= upper):
+                got = f"{name}.{key} is {values[key]:.6g}{unit}"
+                raise DeviceError(f"{got}, expected {lower:g} to {upper:g}{unit}", (block, key))
     try:
         return replace(made, **values)
     except ConfigError as error:
@@ -91,9 +95,3 @@ def plain_parameters(name: str, parameters: Mapping[str, float], factors: Mappin
         DeviceError: as `device_parameters`.
     """
     return dict(plain(asdict(device_parameters(name, parameters, factors))))
-
-
-def _check_bounds(where: str, value: float, metadata: Mapping[str, Any], at: tuple[str, ...]) -> None:
-    (lower, upper), unit = metadata["bounds"], "" if metadata["unit"] == "1" else f" {metadata['unit']}"
-    if not (math.isfinite(value) and lower <= value <= upper):
-        raise DeviceError(f"{where} is {value:.6g}{unit}, expected {lower:g} to {upper:g}{unit}", at)

@@ -155,28 +155,17 @@ class TendonCatheter:
 
     def _numbers(self, dt_s: float) -> TendonNumbers:
         p = self.parameters
-        return TendonNumbers(
-            drive_share=_share(dt_s, p.drive_lag_s),
-            middle_slope=(p.loading_slope + p.unloading_slope) / 2,
-            middle_deg=(p.loading_deg + p.unloading_deg) / 2,
-            half_gap_slope=p.friction * (p.unloading_slope - p.loading_slope) / 2,
-            half_gap_deg=p.friction * (p.unloading_deg - p.loading_deg) / 2,
-            end_deg=p.end_deg,
-            end_mm=p.end_mm,
-            viscous_s_per_mm=p.viscous_s_per_mm,
-            roughness=p.roughness,
-            roughness_mm=p.roughness_mm,
-            viscoelastic=p.viscoelastic,
-            viscoelastic_share=_share(dt_s, p.viscoelastic_s),
-            creep=p.creep,
-            creep_share=_share(dt_s, p.creep_s),
-            set_deg=p.set_deg,
-            set_mm=p.travel_mm,
-            offset_deg=p.offset_deg,
-            pretension_n=p.pretension_n,
-            stiffness_n_per_mm=p.stiffness_n_per_mm,
-            friction_tension=p.friction_tension,
-        )
+        computed = {
+            "drive_share": _share(dt_s, p.drive_lag_s),
+            "middle_slope": (p.loading_slope + p.unloading_slope) / 2,
+            "middle_deg": (p.loading_deg + p.unloading_deg) / 2,
+            "half_gap_slope": p.friction * (p.unloading_slope - p.loading_slope) / 2,
+            "half_gap_deg": p.friction * (p.unloading_deg - p.loading_deg) / 2,
+            "viscoelastic_share": _share(dt_s, p.viscoelastic_s),
+            "creep_share": _share(dt_s, p.creep_s),
+            "set_mm": p.travel_mm,
+        }
+        return TendonNumbers._make((vars(p) | computed)[name] for name in TendonNumbers._fields)
 
 
 def _share(dt_s: float, lag_s: float) -> float:

@@ -97,9 +97,6 @@ class DevicePlant(ComputedPlant):
         return float(shown[-1]), DeviceState(before, done.state, after)
 
 
-_NAMES = {"simulator", "device", "parameters"}
-
-
 def make_plant(
     settings: PlantSettings, dt_s: float | None = None, commands: Range | None = None, seed: int = 0
 ) -> ComputedPlant:
@@ -113,7 +110,7 @@ def make_plant(
         ConfigError: if a mismatch names an unknown parameter, or the commands lie beyond what a device takes.
         ModelError: if a simulator file is missing or unusable, or a mismatch takes a parameter out of its bounds.
     """
-    effects = settings.model_dump(exclude=_NAMES)
+    effects = settings.model_dump(exclude={"simulator", "device", "parameters"})
     if settings.device is None:
         return SimulatedPlant(load_simulator(_file(settings)), Effects(**effects), dt_s, commands, seed)
     device = named_device(settings.device, settings.parameters, effects.pop("mismatch"))

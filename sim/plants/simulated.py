@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, final
+from typing import Any, cast, final
 
 import numpy as np
 
@@ -61,12 +61,12 @@ class Effects:
     @property
     def placed(self) -> tuple[PlacedEffect, ...]:
         """Effects of the library that act on the device, without sensors."""
-        return tuple(e for e in self._placed() if not isinstance(e.operator, Sensor))
+        return tuple(e for e in self._every if not isinstance(e.operator, Sensor))
 
     @property
     def sensors(self) -> tuple[Sensor, ...]:
         """Sensors among the effects."""
-        return tuple(e.operator for e in self._placed() if isinstance(e.operator, Sensor))
+        return tuple(e.operator for e in self._every if isinstance(e.operator, Sensor))
 
     def sensing(self, before: tuple[Sensor, ...] = ()) -> Sensing:
         """Return the angle sensor; `before` are sensors of the device itself."""
@@ -78,8 +78,9 @@ class Effects:
         lag = (Lag(self.lag_s),) if self.lag_s > 0 else ()
         return (*((Delay(self.delay_s, samples=1),) if self.delay_s > 0 else ()), *lag)
 
-    def _placed(self) -> tuple[PlacedEffect, ...]:
-        return tuple(e for e in self.effects if isinstance(e, PlacedEffect))
+    @property
+    def _every(self) -> tuple[PlacedEffect, ...]:
+        return cast(tuple[PlacedEffect, ...], self.effects)
 
 
 def _placed(spec: PlacedEffect | Mapping[str, Any], k: int) -> PlacedEffect:

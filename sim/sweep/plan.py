@@ -7,7 +7,7 @@ import json
 import platform
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
@@ -160,13 +160,8 @@ def _rows(
     for motion in config.motions:
         for controller in config.controllers:
             text = canonical(config.narrowed(controller, motion).model_dump(mode="json"))
-            row = SweepRow("", controller, motion, factors, number, config.seed, text, files)
-            yield replace(row, id=row_id(row))
-
-
-def row_id(row: SweepRow) -> str:
-    """Identity of a row: the first 16 digits of the SHA-256 over its settings and model files."""
-    return json_hash([row.settings, list(row.files)])[:_ID_DIGITS]
+            identity = json_hash([text, list(files)])[:_ID_DIGITS]
+            yield SweepRow(identity, controller, motion, factors, number, config.seed, text, files)
 
 
 def _kind(values: Iterable[Any], names: Iterable[str] | None = None) -> str:

@@ -18,7 +18,7 @@ from hystmpc.trials.report import REFERENCE, Heading, KeyValues, Paragraph, Piec
 from hystmpc.trials.types import Vec
 
 from ..results import colours
-from .table import Column, numbers, table_of, texts
+from .table import Column, table_of
 
 _FEW = ((100.0, (1,)), (8.0, (1, 2, 5)))  # from this ratio of the ends on only these leading digits are shown
 _FIGURES = ("rmse_deg", "max_abs_deg", "hold_error_deg", "command_travel", "limit_violations", "step_mean_s", "cpu_s")
@@ -56,11 +56,9 @@ class SweepView:
 
     def rows(self, chosen: NDArray[np.bool_]) -> SweepView:
         """Return the rows selected by a mask (N,)."""
-        k = np.flatnonzero(chosen)
-        columns = self.table.items()
-        return SweepView(
-            {name: c[k] if isinstance(c, np.ndarray) else [c[j] for j in k] for name, c in columns}, self.factors
-        )
+        k, columns = np.flatnonzero(chosen), self.table.items()
+        part = {name: c[k] if isinstance(c, np.ndarray) else [c[j] for j in k] for name, c in columns}
+        return SweepView(part, self.factors)
 
     def done(self) -> SweepView:
         """Rows whose run succeeded."""
@@ -73,15 +71,20 @@ class SweepView:
 
     def where(self, name: str, value: str) -> SweepView:
         """Return the rows with this text in a column."""
-        return self.rows(np.array(texts(self.table, name)) == value)
+        return self.rows(np.array(self.texts(name)) == value)
 
     def names(self, name: str) -> tuple[str, ...]:
         """Distinct texts of a column, in order."""
-        return tuple(dict.fromkeys(texts(self.table, name)))
+        return tuple(dict.fromkeys(self.texts(name)))
+
+    def texts(self, name: str) -> list[str]:
+        """Return a column as texts, numbers to six digits, missing values as empty texts."""
+        values = self.table[name]
+        return ["" if v is None else v if isinstance(v, str) else f"{float(v):.6g}" for v in values]
 
     def figures(self, name: str) -> Vec:
         """Return a column of numbers (N,)."""
-        return numbers(self.table, name)
+        return np.asarray(self.table[name], dtype=np.float64)
 
 
 def sweep_report(view: SweepView, meta: Mapping[str, Any]) -> Report:
@@ -115,9 +118,10 @@ def _overall(done: SweepView) -> Iterator[Piece]:
     for motion in done.names("motion"):
         for controller in done.names("controller"):
             part = done.where("motion", motion).where("controller", controller)
-            if e := _summary(part.figures("rmse_deg")):
+            if (e := part.figures("rmse_deg")).size:
+                errors = _median(e), float(np.mean(e)), float(np.quantile(e, 0.9)), float(np.max(e))
                 held, travel = _median(part.figures("hold_error_deg")), _median(part.figures("command_travel"))
-                rows.append((motion, controller, len(part.table["id"]), *e, _cell(held), travel))
+                rows.append((motion, controller, len(part.table["id"]), *errors, held, travel))
     yield Heading("Controllers")
     caption = "RMSE of the tip angle without sensor noise [deg]; error in holds [deg]; command travel [command unit]."
     yield Table(columns, rows, caption)
@@ -190,7 +194,7 @@ def _levels(done: SweepView, path: str, kind: str) -> Iterable[tuple[str, NDArra
         for value in np.unique(done.figures(path)):
             yield f"{value:.4g}", done.figures(path) == value
         return
-    levels = np.array(texts(done.table, path))
+    levels = np.array(done.texts(path))
     for level in done.names(path):
         yield _short(level), levels == level
 
@@ -204,12 +208,6 @@ def _worst(done: SweepView) -> Iterator[Piece]:
     yield Table(shown, rows, "`hystmpc simulate --row DIR ID` makes one of them again; with --out it leaves its log.")
 
 
-def _summary(values: Vec) -> tuple[float, ...]:
-    if not values.size:
-        return ()
-    return _median(values), float(np.mean(values)), float(np.quantile(values, 0.9)), float(np.max(values))
-
-
 def _median(values: Vec) -> float:
     finite = values[np.isfinite(values)]
     return float(np.median(finite)) if finite.size else math.nan
@@ -220,9 +218,7 @@ def _pair(values: Vec) -> str:
 
 
 def _cell(value: Any) -> object:
-    if value is None or isinstance(value, str):
-        return _short(value or "")
-    return float(value) if math.isfinite(value) else "-"
+    return _short(value or "") if value is None or isinstance(value, str) else float(value)
 
 
 def _short(text: str) -> str:

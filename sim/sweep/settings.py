@@ -71,9 +71,8 @@ class DrawSettings(Settings):
 
 def drawn(draws: Mapping[str, DrawSettings], seed: int, number: int) -> dict[str, Any]:
     """Return draw `number` of every path; the random numbers of a path are independent of other paths and draws."""
-    return {
-        path: draw.sample(np.random.default_rng([seed, number, crc32(path.encode())])) for path, draw in draws.items()
-    }
+    generators = {path: np.random.default_rng([seed, number, crc32(path.encode())]) for path in draws}
+    return {path: draw.sample(generators[path]) for path, draw in draws.items()}
 
 
 class SweepSettings(Settings):

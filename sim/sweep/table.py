@@ -126,18 +126,6 @@ def table_of(folder: Path, names: Iterable[str]) -> dict[str, Column]:
     return {name: _column(values) for name, values in columns.items()}
 
 
-def numbers(table: Mapping[str, Column], name: str) -> Vec:
-    """Return a column of numbers (N,)."""
-    return np.asarray(table[name], dtype=np.float64)
-
-
-def texts(table: Mapping[str, Column], name: str) -> list[str]:
-    """Return a column as texts, numbers to six digits, missing values as empty texts."""
-    return [
-        "" if value is None else value if isinstance(value, str) else f"{float(value):.6g}" for value in table[name]
-    ]
-
-
 def _column(values: Sequence[Any]) -> Column:
     """Column as an array (N,) of numbers with NaN for missing values; as texts if it has a text or no value."""
     kinds = {type(value) for value in values} - {type(None)}

@@ -11,7 +11,7 @@ from scipy.optimize import OptimizeResult, differential_evolution
 from hystmpc.ctrl.config import AnyControllerSettings
 from hystmpc.ctrl.feedback import InversePidControllerSettings, PidControllerSettings
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.types import Progress, Vec
+from hystmpc.trials.types import Progress, Vec, parts
 
 from ..study import Study
 
@@ -96,10 +96,8 @@ def searched_gains(
         tol=1e-4,
         rng=np.random.default_rng(seed),
     )
-    start = mean_square(settings)
-    return PidTuning(
-        with_gains(settings, optimum.x), float(np.sqrt(optimum.fun)), float(np.sqrt(start)), int(optimum.nfev)
-    )
+    rmse_deg, start_deg = (float(np.sqrt(square)) for square in (optimum.fun, mean_square(settings)))
+    return PidTuning(with_gains(settings, optimum.x), rmse_deg, start_deg, int(optimum.nfev))
 
 
 def tuned_study(study: Study, progress: Progress | None = None) -> Study:
@@ -107,14 +105,8 @@ def tuned_study(study: Study, progress: Progress | None = None) -> Study:
     if study.config.tune_pid is None:
         return study
     chosen = {name: s for name, s in study.config.controllers.items() if isinstance(s, PidLike)}
-    tuned: dict[str, AnyControllerSettings] = {}
-    for k, (name, settings) in enumerate(chosen.items()):
-
-        def overall(done: float, total: float, note: str = "", before: int = k) -> None:
-            if progress is not None:
-                progress(before * total + done, len(chosen) * total, note)
-
-        tuned[name] = tuned_gains(study, settings, overall).settings
+    searches = zip(chosen.items(), parts(progress, [1.0] * len(chosen)), strict=True)
+    tuned = {name: tuned_gains(study, settings, part).settings for (name, settings), part in searches}
     controllers = {**study.config.controllers, **tuned}
     changes = {"controllers": controllers, "tune_pid": None, "tuned": tuple(tuned)}
     return replace(study, config=study.config.model_copy(update=changes))

@@ -53,7 +53,7 @@ def run_tuning(
     """Search, check, and write controller.yaml, study.yaml, trials.csv, held_out.csv and report.html to `out`.
 
     Args:
-        settings: complete, as `load_tuning` gives them.
+        settings: as of `complete`.
         out: a new or empty folder, or one of a tuning, whose trials are kept; one for each machine.
         storage: Optuna's URL of the search, such as `postgresql://...`, shared by machines; a file in `out` where left
             out.
@@ -150,16 +150,10 @@ def _write(folder: RunFolder, tuning: Tuning) -> None:
     write_atomically(folder.path / "controller.yaml", head + dump_yaml(tuned.model_dump(mode="json")))
     study = settings.study.model_copy(update={"controllers": {"given": settings.given, "tuned": tuned}})
     write_atomically(folder.path / "study.yaml", dump_yaml(study.model_dump(mode="json")))
-    paths = list(settings.search)
-    columns: dict[str, Any] = {
-        "slot": np.array([trial.slot for trial in tuning.trials]),
-        "state": tuple(trial.state for trial in tuning.trials),
-        "objective_deg": np.array([trial.value for trial in tuning.trials]),
-        "error_deg": np.array([trial.error_deg for trial in tuning.trials]),
-        "travel": np.array([trial.travel for trial in tuning.trials]),
-        "plants": np.array([trial.plants for trial in tuning.trials]),
-        **{path: tuple(str(trial.values[path]) for trial in tuning.trials) for path in paths},
-    }
+    rows = [(t.slot, t.state, t.value, t.error_deg, t.travel, t.plants) for t in tuning.trials]
+    names = ("slot", "state", "objective_deg", "error_deg", "travel", "plants")
+    columns = {name: np.array(values) for name, values in zip(names, zip(*rows, strict=True), strict=True)}
+    columns |= {path: np.array([str(trial.values[path]) for trial in tuning.trials]) for path in settings.search}
     write_atomically(folder.path / "trials.csv", format_table(columns))
     write_atomically(folder.path / "held_out.csv", format_table(check.columns()))
     folder.write_report(tuning_report(tuning, folder.meta))
@@ -217,15 +211,8 @@ def _values(tuning: Tuning) -> Table:
     given = tuning.settings.given.model_dump(mode="json")
     rows = []
     for path, value in tuning.best.values.items():
-        one = tuning.settings.search[path]
-        rows.append(
-            (
-                path,
-                value_at(given, path),
-                value,
-                " to ".join(f"{end}" for end in one.ends[:: max(1, len(one.ends) - 1)]),
-            )
-        )
+        ends = tuning.settings.search[path].ends
+        rows.append((path, value_at(given, path), value, " to ".join(map(str, ends[:: max(1, len(ends) - 1)]))))
     return Table(("setting", "given", "tuned", "searched"), rows, f"Trial {tuning.best.slot}; controller.yaml has all.")
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
 from hystmpc.ctrl.config import AnyControllerSettings, parse_controller
-from hystmpc.trials.config import Count, NotNegative, NotNegativeInt, Settings, load_settings
+from hystmpc.trials.config import Count, NotNegative, NotNegativeInt, Settings
 from hystmpc.trials.errors import ConfigError, did_you_mean
 from hystmpc.trials.json_text import json_hash
 
@@ -164,28 +163,17 @@ class TuneSettings(Settings):
         return parse_controller(data, "controller")
 
 
-def load_tuning(path: Path | str, overrides: Iterable[str] = ()) -> TuneSettings:
-    """Read the settings of a tuning, with the study, the search space and the draws included.
-
-    Raises:
-        ConfigError: on an unreadable file, an unknown key, a value out of bounds, or a path that leads nowhere.
-        ModelError: on an unknown built-in model.
-    """
-    return complete(load_settings(TuneSettings, path, overrides), Path(path))
-
-
 def complete(settings: TuneSettings, path: Path) -> TuneSettings:
-    """Return the checked tuning with all defaults filled in.
+    """Return the checked tuning of the file `path` with its study, the search space and all other defaults filled in.
 
     Raises:
         ConfigError: if study, controller or a path is wrong; names the line.
-        ModelError: if the plant's file is missing or unusable.
+        ModelError: if a model is unknown, or the plant's file is missing or unusable.
     """
     study = study_of(settings.base, path)
-    if study.tune_pid is not None:
-        study = study.model_copy(update={"tune_pid": None})
     name = _chosen(settings.controller, study, path)
-    alone = study.model_copy(update={"controllers": {name: study.controllers[name]}, "tuned": ()})
+    only = {"controllers": {name: study.controllers[name]}, "tuned": (), "tune_pid": None}
+    alone = study.model_copy(update=only)
     completed = settings.model_copy(
         update={
             "base": alone.model_dump(mode="json"),

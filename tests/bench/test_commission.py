@@ -14,13 +14,13 @@ import pytest
 import hystmpc
 from hystmpc.bench import motions
 from hystmpc.bench.commission import NAMES, commission_logs, rewrite_report
-from hystmpc.bench.config import CommissionSettings, load_commission
+from hystmpc.bench.config import CommissionSettings, located_commission
 from hystmpc.bench.device import DeviceStoppedError
 from hystmpc.bench.identify import Subject
 from hystmpc.bench.motions import CONTROLLERS
 from hystmpc.bench.stages import EndedEarlyError
 from hystmpc.rig.run import reset_latch
-from hystmpc.trials.config import dump_yaml
+from hystmpc.trials.config import dump_yaml, load_settings
 from hystmpc.trials.csv_files import read_csv
 from hystmpc.trials.errors import ConfigError, LogError
 
@@ -231,7 +231,7 @@ def test_a_stage_is_not_gone_on_with_after_another_range(whole: tuple[Path, list
 def test_wrong_settings_are_one_line(tmp_path: Path) -> None:
     def loaded(**changes: Any) -> CommissionSettings:
         (tmp_path / "bench.yaml").write_text(dump_yaml(BENCH | changes))
-        return load_commission(tmp_path / "bench.yaml")
+        return located_commission(load_settings(CommissionSettings, tmp_path / "bench.yaml"), tmp_path)
 
     assert loaded(latch_file="latch.json").latch_file == tmp_path / "latch.json"
     for changes, expected in (

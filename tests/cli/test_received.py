@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 
 import hystmpc
-from hystmpc.bench.config import load_commission, load_investigation
+from hystmpc.bench.config import CommissionSettings, InvestigateSettings
 from hystmpc.ctrl.config import GROUP, parse_controller
 from hystmpc.ctrl.planner.tip_controller import TipController
 from hystmpc.gap.measured_tracking import measured_runs
@@ -23,9 +24,9 @@ from hystmpc.rig.experiment.review import review_run
 from hystmpc.sim.config import load_simulation
 from hystmpc.sim.results import load_results
 from hystmpc.sim.sweep.table import table_of
-from hystmpc.sim.tuning.settings import load_tuning
+from hystmpc.sim.tuning.settings import TuneSettings, complete
 from hystmpc.trials import from_outside
-from hystmpc.trials.config import dump_yaml, read_yaml
+from hystmpc.trials.config import dump_yaml, load_settings, read_yaml
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.from_outside import ALLOWED, allow_python, class_named, given_by, only_reads
 from hystmpc.trials.run_folder import RunFolder
@@ -64,10 +65,10 @@ NAMED = {  # files that name a class: verb, settings, reader
     "run, transport": ("run", RUN | {"transport": OWN_BUS}, load_run),
     "run, law": ("run", RUN | {"controller": TIP | {"controller": OWN_LAW}}, load_run),
     "record": ("record", BENCH | {"transport": OWN_BUS, "excitations": RAMPS}, load_record),
-    "commission": ("commission", BENCH | {"transport": OWN_BUS}, load_commission),
-    "investigate": ("investigate", BENCH | {"transport": OWN_BUS}, load_investigation),
+    "commission": ("commission", BENCH | {"transport": OWN_BUS}, partial(load_settings, CommissionSettings)),
+    "investigate": ("investigate", BENCH | {"transport": OWN_BUS}, partial(load_settings, InvestigateSettings)),
     "simulate": ("simulate", STUDY, load_simulation),
-    "tune": ("tune", SEARCH, load_tuning),
+    "tune": ("tune", SEARCH, lambda file: complete(load_settings(TuneSettings, file), file)),
     "tip": ("", TIP | {"controller": OWN_LAW}, TipController.from_config),
 }
 

@@ -18,8 +18,8 @@ from hystmpc.sim import jobs
 from hystmpc.sim.results import load_results
 from hystmpc.sim.sweep.settings import load_sweep
 from hystmpc.sim.sweep.table import table_of
-from hystmpc.sim.tuning.settings import load_tuning
-from hystmpc.trials.config import dump_yaml
+from hystmpc.sim.tuning.settings import TuneSettings, complete
+from hystmpc.trials.config import dump_yaml, load_settings
 
 from ..sim.small import SCAN, study_data
 from .test_verbs import run, shown_until
@@ -164,7 +164,8 @@ def test_the_examples_are_right() -> None:
 
     file = EXAMPLES / "sweep.yaml"
     assert SweepPlan(load_sweep(file), file).check() == 200
-    assert load_tuning(EXAMPLES / "tune.yaml").controller == "linearised_mpc"
+    file = EXAMPLES / "tune.yaml"
+    assert complete(load_settings(TuneSettings, file), file).controller == "linearised_mpc"
 
 
 @pytest.mark.slow

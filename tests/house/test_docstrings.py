@@ -53,8 +53,8 @@ def public() -> tuple[Definition, ...]:
 
 @cache
 def classes() -> dict[str, ast.ClassDef]:
-    """The public classes by name."""
-    return {d.node.name: d.node for d in public() if isinstance(d.node, ast.ClassDef)}
+    """The public classes by name; of the laboratory's only those whose name no class of the package has."""
+    return {d.node.name: d.node for d in reversed(public()) if isinstance(d.node, ast.ClassDef)}
 
 
 def docstring(definition: Definition) -> str:

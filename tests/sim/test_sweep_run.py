@@ -17,9 +17,10 @@ from hystmpc.sim import jobs
 from hystmpc.sim.jobs import Backend, InTurn, Processes, backend_for
 from hystmpc.sim.results import load_results
 from hystmpc.sim.sweep.plan import RESULT_COLUMNS
+from hystmpc.sim.sweep.report import SweepView
 from hystmpc.sim.sweep.run import SweepOutcome, reproduce, run_sweep
 from hystmpc.sim.sweep.settings import SweepSettings, with_base
-from hystmpc.sim.sweep.table import table_of, texts
+from hystmpc.sim.sweep.table import table_of
 from hystmpc.trials.errors import ConfigError, LogError
 
 from ..trials.test_html import Page
@@ -42,9 +43,9 @@ def ids(folder: Path) -> list[str]:
 
 def figures(folder: Path) -> dict[str, tuple[str, ...]]:
     """What every row found, by id."""
-    table = table_of(folder, ["id", "status", *RESULT_COLUMNS])
-    columns = [texts(table, name) for name in ("status", *RESULT_COLUMNS)]
-    return dict(zip(map(str, table["id"]), zip(*columns, strict=True), strict=True))
+    view = SweepView(table_of(folder, ["id", "status", *RESULT_COLUMNS]), {})
+    columns = [view.texts(name) for name in ("status", *RESULT_COLUMNS)]
+    return dict(zip(view.texts("id"), zip(*columns, strict=True), strict=True))
 
 
 @pytest.fixture(scope="module")

@@ -29,8 +29,8 @@ from hystmpc.sim.tuning.objective import (
     robust,
 )
 from hystmpc.sim.tuning.run import run_tuning, search
-from hystmpc.sim.tuning.settings import ObjectiveSettings, TuneSettings, complete, load_tuning
-from hystmpc.trials.config import dump_yaml, read_yaml
+from hystmpc.sim.tuning.settings import ObjectiveSettings, TuneSettings, complete
+from hystmpc.trials.config import dump_yaml, load_settings, read_yaml
 from hystmpc.trials.errors import ConfigError
 
 from ..trials.test_html import Page
@@ -147,7 +147,7 @@ def test_wrong_settings_are_one_line(changes: dict[str, Any], message: str, tmp_
     file = tmp_path / "tune.yaml"
     file.write_text(dump_yaml(data(**changes)), encoding="utf-8")
     with pytest.raises(ConfigError, match=message) as error:
-        load_tuning(file)
+        complete(load_settings(TuneSettings, file), file)
     assert "\n" not in str(error.value)
     assert str(file) in str(error.value)
 
