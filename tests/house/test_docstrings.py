@@ -94,6 +94,7 @@ def test_everything_public_has_a_docstring() -> None:
     assert [str(d) for d in public() if d.node.name not in CONSTRUCTORS and not docstring(d)] == []
 
 
+@pytest.mark.slow
 def test_errors_raised_are_documented() -> None:
     offenders = []
     for definition in public():
