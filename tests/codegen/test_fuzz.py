@@ -43,7 +43,7 @@ FUZZED: Mapping[str, tuple[dict[str, Any], bool]] = {
     "frames": (tip("builtin:pi", **PLAIN, estimator={"sensor": "intermittent", "oldest_frame_s": 0.4}), False),
     "random-plans": (tip_of("builtin:pi", "sampling_mpc", **PLAIN, samples=40), True),
     "single-inverse-and-pid": (tip_of("builtin:auto", "inverse_pid"), True),
-    "single-one-filter": ({**LIMITED, "controller": {**LIMITED["controller"], "estimator": ONE_FILTER}}, True),
+    "single-one-filter": (tip("builtin:pi", **PLAIN, estimator=ONE_FILTER), True),
 }
 
 
