@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, is_hypothesis_test, settings
 
+from .shared import PLACES
+
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES, FAST_EXAMPLES = 40, 5
 
@@ -69,6 +71,13 @@ def pytest_collection() -> Iterator[None]:
     finally:
         gc.freeze()
         gc.enable()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_place(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Where the workers of one run keep what they share."""
+    if hasattr(request.config, "workerinput"):
+        PLACES.append(tmp_path_factory.getbasetemp().parent)
 
 
 def data_folder() -> Path:

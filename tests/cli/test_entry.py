@@ -84,6 +84,7 @@ def test_the_version_is_that_of_the_package() -> None:
     assert program("--version").stdout == f"hystmpc {version('hystmpc')}\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", [(), ("effects",)])
 def test_h_is_help(verb: tuple[str, ...]) -> None:
     short, long = program(*verb, "-h"), program(*verb, "--help")
@@ -91,6 +92,7 @@ def test_h_is_help(verb: tuple[str, ...]) -> None:
     assert "-h, --help" in short.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("typed", "word", "offered"),
     [("hystmpc si", "1", {"simulate"}), ("hystmpc export --f", "2", {"--force"}), ("hystmpc --ve", "1", {"--version"})],

@@ -27,15 +27,22 @@ LIMITED = tip("builtin:pi", **PLAIN, limits={"lower": LOWER, "upper": UPPER, "ra
 ONE_FILTER = {f"{name}_sigma_deg{per}": 0.01 for name, per in (("sensor", ""), ("drift", "_per_sqrt_s"))}
 ONE_FILTER["motion_sigma_deg_per_sqrt_unit"] = 0.01
 FUZZED: Mapping[str, tuple[dict[str, Any], bool]] = {
-    **{
-        name: (CASES[name][0], False) for name in ("lag-of-the-settings", "transport-delay", "no-sensor", "soft-limits")
-    },
+    "lag-delay-and-soft-limits": (
+        tip(
+            "builtin:pi",
+            0.08,
+            **PLAIN,
+            estimator={"delay_samples": 2},
+            ladder={"safe_command": 0.0},
+            weights={"angle_lower_deg": 40, "angle_upper_deg": 70},
+        ),
+        False,
+    ),
+    "no-sensor": (CASES["no-sensor"][0], False),
     "single-learns": (CASES["feedback-takes-over"][0], True),  # the part is one text in either precision
     "frames": (tip("builtin:pi", **PLAIN, estimator={"sensor": "intermittent", "oldest_frame_s": 0.4}), False),
     "random-plans": (tip_of("builtin:pi", "sampling_mpc", **PLAIN, samples=40), True),
-    "inverse-and-pid": (tip_of("builtin:auto", "inverse_pid"), False),
-    "pid": (tip_of("builtin:pi", "pid"), True),
-    "single-with-limits": (LIMITED, True),
+    "single-inverse-and-pid": (tip_of("builtin:auto", "inverse_pid"), True),
     "single-one-filter": (tip("builtin:pi", **PLAIN, estimator=ONE_FILTER), True),
 }
 
@@ -202,5 +209,5 @@ def test_the_program_that_calls_at_random_finds_commands_beyond_the_rate(tmp_pat
     program = Path(__file__).with_name("fuzzed.c").read_text(encoding="utf-8")
     (tmp_path / "main.c").write_text(program, encoding="utf-8")
     for reach, wanted in ((REACH, 0), (0.5 * REACH, 5)):
-        compile_c(["-std=c99", f"-DREACH={reach!r}", "-O1", "-o", "run", "main.c", "-lm"], tmp_path)
+        compile_c(["-std=c99", f"-DREACH={reach!r}", "-o", "run", "main.c", "-lm"], tmp_path)
         assert subprocess.run([tmp_path / "run"], capture_output=True, timeout=60, check=False).returncode == wanted

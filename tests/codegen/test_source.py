@@ -22,16 +22,20 @@ from .test_commands import CASES, tip
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_it_compiles_without_a_warning(case: str, tmp_path: Path) -> None:
-    """In single precision; in double each case is compiled as strictly where its commands are compared."""
+    """In single precision; in double each case is compiled as strictly where its commands are compared.
+
+    Cases differ in their numbers and in which files they take: what an optimiser finds is looked for in two below.
+    """
     export_controller(CASES[case][0], single=True, folder=EXAMPLES).write(tmp_path)
-    compile_c([*STRICT, "-O2", "-c", "hystmpc.c"], tmp_path)
+    compile_c([*STRICT, "-fsyntax-only", "hystmpc.c"], tmp_path)
 
 
 @pytest.mark.slow
 def test_every_compiler_takes_it_without_a_warning(tmp_path: Path) -> None:
-    export_controller(CASES["lag-of-the-settings"][0], folder=EXAMPLES).write(tmp_path)
-    said = {command[-1]: tried([*command, *STRICT, "-O1", "-c", "hystmpc.c"], tmp_path) for command in compilers()}
-    assert {command: text for command, text in said.items() if text} == {}
+    for single in (False, True):
+        export_controller(CASES["lag-of-the-settings"][0], single=single, folder=EXAMPLES).write(tmp_path / str(single))
+        for command in compilers():
+            assert tried([*command, *STRICT, "-O2", "-c", "hystmpc.c"], tmp_path / str(single)) == ""
 
 
 @pytest.mark.slow

@@ -16,6 +16,8 @@ NAME = re.compile(r"[A-Z][A-Z0-9_]+")
 
 def variables(module: Module) -> Iterator[str]:
     """Names in every statement of a module that asks or changes the environment; constants count as their value."""
+    if not re.search(r"environ|getenv", module.path.read_text(encoding="utf-8")):
+        return
     for node in module.nodes:
         if not isinstance(node, ast.stmt) or isinstance(node, ast.FunctionDef | ast.ClassDef | ast.With | ast.If):
             continue

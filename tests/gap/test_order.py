@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -55,14 +56,20 @@ def test_a_claim_that_the_clock_contradicts_is_refused() -> None:
     assert in_recording_order(TRIALS[:1], ordered=False) == (TRIALS[:1], "known")
 
 
+@cache
+def final_names() -> list[str]:
+    """Of the trials kept for the end, whatever the order of the files."""
+    return [run.name for run in prepare(TRIALS, SIMULATOR, ordered=False).final]
+
+
 @pytest.mark.slow
-@settings(max_examples=10)
+@settings(max_examples=4)
 @given(st.permutations(TRIALS))
 def test_nothing_is_carried_from_trial_to_trial_without_an_order(given_: list[Trial]) -> None:
     prepared = prepare(given_, SIMULATOR, ordered=False)
     assert {run.clock_s for run in prepared.everything} == {0.0}
     assert all(run.bent_before == run.command[0] for run in prepared.everything)
-    assert [r.name for r in prepared.final] == [r.name for r in prepare(TRIALS, SIMULATOR, ordered=False).final]
+    assert [r.name for r in prepared.final] == final_names()
 
 
 @pytest.mark.slow

@@ -102,6 +102,7 @@ def test_what_depends_on_changed_settings_or_files_is_done_anew(tmp_path: Path) 
     assert second.finish().results[-1].figures["total"] == 31.5 != first.results[-1].figures["total"]
 
 
+@pytest.mark.slow
 def test_two_processes_find_what_one_finds(whole: tuple[Path, Outcome[SumSettings, SumResult]], tmp_path: Path) -> None:
     assert stable(STUDY.begin(SETTINGS, tmp_path / "two").finish(2)) == stable(whole[1])
 

@@ -29,6 +29,7 @@ from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
+from ..shared import shared
 from .zoo import DT
 
 CORE = PrandtlIshlinskii(4.0, (3.0, 2.0, 1.0), 0.2, 0.0, 22.0)
@@ -79,7 +80,8 @@ def trials_of(before: tuple[Operator, ...], motion: tuple[int, ...], offsets_deg
 @cache
 def identified(before: tuple[Operator, ...], motion: tuple[int, ...], offsets_deg: float = 0.0) -> Identified:
     """The kind `auto` on few trials of a device; each device is identified once for all tests that look at it."""
-    return kind_named("auto").fit(trials_of(before, motion, offsets_deg), FitRequest())
+    name = f"auto {before} {motion} {offsets_deg}"
+    return shared(name, lambda: kind_named("auto").fit(trials_of(before, motion, offsets_deg), FitRequest()))
 
 
 def parts_of(found: Identified) -> AutoFit:

@@ -64,6 +64,7 @@ CASES = [("series", name) for name in RESTS] + [("parallel", "lstm"), ("parallel
 cases = pytest.mark.parametrize(("way", "name"), CASES)
 
 
+@pytest.mark.slow
 @cases
 def test_the_file_passes_the_gate(way: Way, name: str, tmp_path: Path) -> None:
     """Reference, onnxruntime and CasADi agree, Jacobians included; a network's weights keep their names."""

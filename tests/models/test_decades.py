@@ -25,9 +25,8 @@ from hystmpc.trials.errors import ModelError
 from hystmpc.trials.trial import Trial, Units
 
 DT = 0.04
-QUICK = ("backlash", "pi", "bouc_wen", "play_kernel")
 # Networks scale by their trials' ranges; to train them all would take minutes.
-TRIED = (*QUICK, "maxwell_slip", "maxwell_slip_rate", "svr", "auto")
+TRIED = ("backlash", "pi", "bouc_wen", "play_kernel", "maxwell_slip", "maxwell_slip_rate", "svr", "auto")
 SIZES = st.sampled_from([10.0**k for k in range(-6, 7)])
 
 
@@ -54,7 +53,7 @@ def found(kind: ModelKind, trials: Sequence[Trial]) -> Identified:
 @pytest.mark.parametrize(
     "kind",
     [
-        pytest.param(k, marks=() if k.name in QUICK else pytest.mark.slow, id=k.name)
+        pytest.param(k, marks=() if k.name == "backlash" else pytest.mark.slow, id=k.name)
         for k in all_kinds()
         if k.name in TRIED
     ],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from itertools import count
 from pathlib import Path
 from typing import Literal
 
@@ -86,27 +87,29 @@ def test_error_falls_and_the_best_look_is_kept(way: str) -> None:
     assert not fit.interrupted
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_same_seed_same_network_and_another_seed_another(way: str) -> None:
-    (first, _), settings, trials = fitted(way), WAYS[way], four_trials()
-    state = torch.random.get_rng_state()
-    assert same(first, fit_network(trials, settings))
+def until_third_look(settings: NetworkSettings) -> NetworkFit:
+    """A training that is interrupted at its third look."""
+    looks = count(1)
+
+    def stop(done: int, best: float) -> None:
+        if next(looks) == 3:
+            raise KeyboardInterrupt
+
+    return fit_network(four_trials(), settings, stop)
+
+
+@every_way
+def test_same_seed_same_network_and_another_seed_another(settings: NetworkSettings) -> None:
+    first, state = until_third_look(settings), torch.random.get_rng_state()
+    assert same(first, until_third_look(settings))
     assert torch.equal(torch.random.get_rng_state(), state)  # the caller's random numbers are his own
-    assert not same(first, fit_network(trials, settings.model_copy(update={"seed": 2})))
+    assert not same(first, until_third_look(settings.model_copy(update={"seed": 2})))
 
 
 @every_way
 def test_interrupting_keeps_the_best_so_far(settings: NetworkSettings) -> None:
-    looks = 0
-
-    def stop_at_third(done: int, best: float) -> None:
-        nonlocal looks
-        looks += 1
-        if looks == 3:
-            raise KeyboardInterrupt
-
     threads = torch.get_num_threads()
-    fit = fit_network(four_trials(), settings, stop_at_third)
+    fit = until_third_look(settings)
     assert fit.interrupted
     assert len(fit.history) == 3
     assert fit.validation_rmse_deg == min(look.validation_rmse_deg for look in fit.history)

@@ -15,8 +15,8 @@ from .interfaces import ROS2
 
 PACKAGE = ROS2 / "hystmpc_controller"
 STUB = Path(__file__).resolve().parent / "stub"
-C = ("-std=c99", "-O1", "-ffp-contract=off", "-fPIC")
-CPP = ("-std=c++17", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fPIC")
+C = ("-std=c99", "-O0", "-ffp-contract=off", "-fPIC")
+CPP = ("-std=c++17", "-O0", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fPIC")
 SUCCESS, ERROR = 0, 2
 TIP = "tip.yaml"
 
