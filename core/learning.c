@@ -61,7 +61,7 @@ HYSTMPC_LOCAL void hystmpc_learning_init(const hystmpc_learner *n, real *past, h
     l->references[0] = y - angle;
     l->references[1] = y;
     for (int i = 0; i < LEARN_DRIVES + 2; i++) l->sums[i] = l->scores[i] = R(0.0);
-    l->forecast_error = l->share = R(0.0);
+    l->forecast_error = l->share = l->waited = l->travelled = R(0.0);
     l->count = l->blocks = l->best = 0;
 }
 
@@ -139,9 +139,21 @@ static void judge(const hystmpc_learner *n, hystmpc_filters *l, const real *mean
     l->share = clamp((gained - LEARN_LEAST_GAIN) / LEARN_FULL_GAIN, R(0.0), R(1.0));
 }
 
+/* Way of the command in the sample that led to the measured angle, as a share of the range. */
+static real learning_travel(const hystmpc_learner *n, const real *past) {
+    const real *now = past + LEARN_HISTORY + n->delay * LEARN_INSTANT;
+    return absolute(now[0] - now[LEARN_INSTANT]);
+}
+
+HYSTMPC_LOCAL void hystmpc_learning_wait(const hystmpc_learner *n, const real *past, hystmpc_filters *l) {
+    l->waited += R(1.0);
+    l->travelled += learning_travel(n, past);
+}
+
 /* Every drive with a measurement used, and the errors of its forecast added. */
 static void correct_all(const hystmpc_learner *n, const real *past, hystmpc_filters *l, real y, real angle) {
-    const real *now = past + LEARN_HISTORY + n->delay * LEARN_INSTANT, travel = absolute(now[0] - now[LEARN_INSTANT]);
+    const real *now = past + LEARN_HISTORY + n->delay * LEARN_INSTANT;
+    const real travel = learning_travel(n, past) + l->travelled, samples = R(1.0) + l->waited;
     for (int delay = 0; delay < LEARN_DELAYS; delay++, now += LEARN_INSTANT) {
         real(*z)[HYSTMPC_LAGS] = l->z[delay], (*p)[HYSTMPC_LAGS] = l->covariance[delay];
         real h[HYSTMPC_UNKNOWNS][HYSTMPC_LAGS], error[HYSTMPC_LAGS], forecast[HYSTMPC_LAGS];
@@ -162,7 +174,7 @@ static void correct_all(const hystmpc_learner *n, const real *past, hystmpc_filt
         for (int a = 0; a < LEARN_UNKNOWNS; a++) {
             real *own = p[a * (a + 3) / 2];
             for (int i = 0; i < LEARN_LAGS; i++) {
-                const real grown = own[i] + n->growth[a] + n->walk[a] * travel;
+                const real grown = own[i] + n->growth[a] * samples + n->walk[a] * travel;
                 own[i] = least(grown, most(n->prior[a], own[i]));
             }
         }
@@ -175,6 +187,7 @@ HYSTMPC_LOCAL void hystmpc_learning_correct(const hystmpc_learner *n, const real
     const real own = y - angle - l->references[0], none = y - l->references[1];
     l->sums[LEARN_MODEL_ALONE] += own * own;
     l->sums[LEARN_LAST_ANGLE] += none * none;
+    l->waited = l->travelled = R(0.0);
     l->count++;
     if (l->count < n->block) return;
     real means[HYSTMPC_DRIVES + 2];

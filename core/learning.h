@@ -29,6 +29,9 @@ HYSTMPC_LOCAL void hystmpc_learning_init(const hystmpc_learner *n, real *past, h
 /* One sample later under the command u. */
 HYSTMPC_LOCAL void hystmpc_learning_advance(const hystmpc_learner *n, real *past, real u);
 
+/* A sample without a measurement. */
+HYSTMPC_LOCAL void hystmpc_learning_wait(const hystmpc_learner *n, const real *past, hystmpc_filters *l);
+
 /* With a measurement used: `angle` is the model's at that instant, `disturbance` its own before this measurement. */
 HYSTMPC_LOCAL void hystmpc_learning_correct(const hystmpc_learner *n, const real *past, hystmpc_filters *l, real y,
                                             real angle, real disturbance);

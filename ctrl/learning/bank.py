@@ -63,6 +63,8 @@ FILTERS = np.dtype(
         ("scores", "f8", DRIVES + 2),
         ("forecast_error", "f8"),
         ("share", "f8"),
+        ("waited", "f8"),
+        ("travelled", "f8"),
         ("count", np.intc),
         ("blocks", np.intc),
         ("best", np.intc),

@@ -93,7 +93,7 @@ class Watcher:
 
     def correct_late(self, seen: Seen, y: float, age: float) -> Seen:
         memory = seen.memory.copy()
-        if not engine().observing_correct_late(*self._known, memory, y, age, self._room):
+        if not engine().observing_correct_late(*self._known, memory, y, age):
             raise ControllerError(self.observer.refused(y, age))
         return Seen(memory, self)
 
