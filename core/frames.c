@@ -13,7 +13,8 @@
 
 #define FRAMES_NOISE R(4.0)  /* variances of a frame that count as noise of the learned part, whose basis is not exact */
 #define FRAMES_FLOOR R(0.25) /* of them below which no forecast has to come */
-enum { FRAMES_FORECAST = 3 }; /* frames of a block of forecasts */
+#define FRAMES_KEPT R(0.9)   /* forgetting factor of a score, a block */
+enum { FRAMES_FORECAST = 6 }; /* frames of a block of forecasts */
 
 static int frames_count(const hystmpc_known *known) {
     return known->count < 0 ? 0 : known->count > HYSTMPC_SEEN ? HYSTMPC_SEEN : known->count;
@@ -141,6 +142,8 @@ HYSTMPC_LOCAL void hystmpc_frames_teach(const hystmpc_sensing *s, const hystmpc_
     taught.noise = most(taught.noise, FRAMES_NOISE * variance);
     taught.floor = most(taught.floor, FRAMES_FLOOR * variance);
     taught.block = FRAMES_FORECAST;
+    taught.kept = FRAMES_KEPT;
+    taught.expected = variance;
     for (int i = 0; i < frames_count(e.known); i++) {
         const real y = e.known->seen[i];
         if (!(absolute(y - e.angles[0] - e.known->disturbance) <= s->outlier)) continue;
@@ -154,3 +157,4 @@ HYSTMPC_LOCAL void hystmpc_frames_teach(const hystmpc_sensing *s, const hystmpc_
 
 #undef FRAMES_NOISE
 #undef FRAMES_FLOOR
+#undef FRAMES_KEPT

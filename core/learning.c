@@ -20,7 +20,6 @@ enum {
     LEARN_HISTORY = LEARN_QUEUE + HYSTMPC_DELAYS
 };
 
-#define LEARN_KEPT R(0.8)       /* forgetting factor of a score, a block */
 #define LEARN_BETTER R(0.8)     /* share of the present score at which another drive is taken */
 #define LEARN_LEAST_GAIN R(0.6) /* over the model's score, at which the learned part begins to act */
 #define LEARN_FULL_GAIN R(0.3)  /* beyond it, for its full effect */
@@ -123,16 +122,19 @@ static void correct_drives(const hystmpc_learner *n, real (*restrict z)[HYSTMPC_
         if (!usable[i]) start_covariance(n, p, i); /* rounding has eaten the covariance */
 }
 
+/* Mean square of what a forecast misses, without the noise of the measurements [deg^2]. */
+static real missed(const hystmpc_learner *n, real score) { return most(score - n->expected, R(0.0)) + n->floor; }
+
 /* What a block of forecasts says: the scores, the drive that is used, how far it acts. */
 static void judge(const hystmpc_learner *n, hystmpc_filters *l, const real *means) {
     if (means[LEARN_LAST_ANGLE] <= LEARN_MOVING * n->noise) return;
-    const real kept = least(LEARN_KEPT, (real)l->blocks / ((real)l->blocks + R(1.0)));
+    const real kept = least(n->kept, (real)l->blocks / ((real)l->blocks + R(1.0)));
     int first = 0;
     for (int i = 0; i < LEARN_DRIVES + 2; i++) l->scores[i] = kept * l->scores[i] + (R(1.0) - kept) * means[i];
     for (int i = 1; i < LEARN_DRIVES; i++)
         if (l->scores[i] < l->scores[first]) first = i;
     if (l->scores[first] < LEARN_BETTER * l->scores[l->best]) l->best = first;
-    const real gained = R(1.0) - (l->scores[l->best] + n->floor) / (l->scores[LEARN_MODEL_ALONE] + n->floor);
+    const real gained = R(1.0) - missed(n, l->scores[l->best]) / missed(n, l->scores[LEARN_MODEL_ALONE]);
     const real off = MATH(sqrt)(least(means[LEARN_MODEL_ALONE], means[l->best]) / means[LEARN_LAST_ANGLE]);
     l->forecast_error = LEARN_RECENT * l->forecast_error + (R(1.0) - LEARN_RECENT) * least(off, LEARN_WORST);
     l->blocks++;
@@ -235,7 +237,6 @@ HYSTMPC_LOCAL void hystmpc_learning_state(const hystmpc_learner *n, const real *
     s->delay = (real)delay;
 }
 
-#undef LEARN_KEPT
 #undef LEARN_BETTER
 #undef LEARN_LEAST_GAIN
 #undef LEARN_FULL_GAIN

@@ -13,6 +13,8 @@ typedef struct {
     real walk[HYSTMPC_UNKNOWNS];   /* of them over the whole range of commands */
     real noise;                    /* variance of a measurement */
     real floor;                    /* mean square below which no forecast has to come */
+    real expected;                 /* part of a score that is noise of the measurements */
+    real kept;                     /* forgetting factor of a score, a block */
     real scale;                    /* angle over the whole range */
     int delay;                     /* samples of delay that the estimator takes care of */
     int block;                     /* samples of a block of forecasts */

@@ -133,6 +133,8 @@ KINDS = {
     "learning behind a delay": Kind({"delay_samples": 3}, learns=True),
     "frames": Kind(FRAMES),
     "frames behind a delay": Kind({**FRAMES, "delay_samples": 2}),
+    "frames that teach": Kind(FRAMES, learns=True),
+    "frames that teach behind a delay": Kind({**FRAMES, "delay_samples": 2}, learns=True),
     "no sensor": Kind({"sensor": "none", "delay_samples": 1}),
     "newest": Kind(has_model=False),
     "newest frame": Kind(FRAMES, has_model=False),

@@ -52,6 +52,13 @@ class Seen:
         size = ctypes.sizeof(FILTERS) // 8
         return BankState(numbers[size:], numbers[:size])
 
+    @property
+    def taught(self) -> BankState:
+        """What late frames have taught."""
+        numbers = self.memory[self.watcher.block + 8 * self.watcher.observer.places.angles :].view(np.float64)
+        size = ctypes.sizeof(FILTERS) // 8
+        return BankState(numbers[size:], numbers[:size])
+
     def copy(self) -> Seen:
         """The same state in a memory of its own, which may be changed."""
         return Seen(self.memory.copy(), self.watcher)
