@@ -115,11 +115,11 @@ int hystmpc_controller_init(const void *problem, char *memory, const real *x, re
     return answer;
 }
 
-int hystmpc_controller_measure(const void *problem, char *memory, real angle_deg, real age, char *room) {
+int hystmpc_controller_measure(const void *problem, char *memory, real angle_deg, real age) {
     const hystmpc_problem *p = problem;
     hystmpc_memory m;
     hystmpc_memory_at(p, memory, &m);
-    return started(&m) && hystmpc_observer_correct_late(p->sensing, p->model, &m.observed, angle_deg, age, room);
+    return started(&m) && hystmpc_observer_correct_late(p->sensing, p->model, &m.observed, angle_deg, age);
 }
 
 int hystmpc_controller_look_on(const void *problem, char *memory, real angle_deg, real command, char *room) {

@@ -172,7 +172,7 @@ HYSTMPC_API int hystmpc_controller_step(const void *problem, char *memory, real 
 HYSTMPC_API void hystmpc_controller_target(const void *problem, char *memory, real angle_deg);
 
 /* Measurement update with an angle [deg] taken `age` samples before the next step; 0 where it cannot be used. */
-HYSTMPC_API int hystmpc_controller_measure(const void *problem, char *memory, real angle_deg, real age, char *room);
+HYSTMPC_API int hystmpc_controller_measure(const void *problem, char *memory, real angle_deg, real age);
 
 /* One sample in which another has sent `command`: the controller looks on, and knows the hysteresis when it takes over.
  * Answers for how many samples the model has failed, 0 where it has not, 1 where nothing has been started. */

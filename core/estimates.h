@@ -4,9 +4,10 @@
 
 #include "observer.h"
 
-/* Numbers of an estimate: of the state x, of the queue of angles (D + 1), of the bank (3 M). */
+/* Numbers of an estimate: of the state x, of the queue of angles (D + 1), of the bank (3 M), of the angles without the
+ * learned part (D + 1, or none). */
 typedef struct {
-    int states, angles, bank;
+    int states, angles, bank, alone;
 } hystmpc_extent;
 
 HYSTMPC_LOCAL hystmpc_extent hystmpc_extent_of(const hystmpc_sensing *s, const hystmpc_model *m);
@@ -27,17 +28,32 @@ HYSTMPC_LOCAL int hystmpc_next_of_model(const hystmpc_model *m, const real *x, r
 HYSTMPC_LOCAL void hystmpc_estimate_correct(const hystmpc_sensing *s, const hystmpc_extent *n, hystmpc_estimate *e,
                                             real y);
 
+/* Time update of the disturbance alone, by the travel of the sample that led to the angle of now. */
+HYSTMPC_LOCAL void hystmpc_disturbance_advance(const hystmpc_sensing *s, const hystmpc_extent *n, hystmpc_estimate *e);
+
 /* Time update with the command u and what `hystmpc_next_of_model` answers; without a next state the model has failed. */
 HYSTMPC_LOCAL void hystmpc_estimate_advance(const hystmpc_sensing *s, const hystmpc_extent *n, hystmpc_estimate *e,
                                             real u, const real *next, real angle);
 
-/* frames.c: the updates of an observer of frames, with its past; a late frame needs as much room. */
-HYSTMPC_LOCAL long hystmpc_frames_work(const hystmpc_sensing *s, const hystmpc_extent *n);
+/* Estimated variance of the sensor noise: the geometric mean over the filters [deg^2]. */
+HYSTMPC_LOCAL real hystmpc_sensor_variance(const hystmpc_sensing *s, const hystmpc_extent *n, const real *bank);
+
+/* How far the disturbance of frames is believed:
+ *
+ *     s = sum_j m_j z_j / (sum_j m_j^2 + doubt * sensor^2),   0 <= s <= 1 */
+HYSTMPC_LOCAL real hystmpc_believed(const hystmpc_sensing *s, const hystmpc_extent *n, const hystmpc_estimate *e);
+
+/* frames.c: the updates of an observer of frames, with its past. */
 HYSTMPC_LOCAL void hystmpc_frames_init(hystmpc_observed *o, real y);
 HYSTMPC_LOCAL void hystmpc_frames_correct(const hystmpc_sensing *s, const hystmpc_extent *n, hystmpc_estimate *e,
                                           real y);
 HYSTMPC_LOCAL int hystmpc_frames_correct_late(const hystmpc_sensing *s, const hystmpc_model *m, hystmpc_observed *o,
-                                              real y, real age, char *room);
+                                              real y, real age);
+
+/* What the oldest instant teaches before it is forgotten, and what that changes at all later ones; work of
+ * `hystmpc_numbers_past` numbers and the angles. */
+HYSTMPC_LOCAL void hystmpc_frames_teach(const hystmpc_sensing *s, const hystmpc_model *m, hystmpc_observed *o,
+                                        real *work);
 HYSTMPC_LOCAL void hystmpc_frames_keep(const hystmpc_sensing *s, const hystmpc_extent *n, hystmpc_observed *o);
 
 #endif

@@ -5,10 +5,16 @@
  *     y_k = y + theta_k - ((1 - s) theta_k + s theta_{k+1}),   0 <= s < 1
  *
  * The estimate of that instant is corrected, and all later updates, by commands and measurements, are repeated. The order
- * in which frames arrive makes no difference. The last instants stand in a ring of blocks. */
+ * in which frames arrive makes no difference. The last instants stand in a ring of blocks. What is learned is learned
+ * at the oldest of them. */
 #include "estimates.h"
 
 #include <string.h>
+
+#define FRAMES_NOISE R(4.0)  /* variances of a frame that count as noise of the learned part, whose basis is not exact */
+#define FRAMES_FLOOR R(0.25) /* of them below which no forecast has to come */
+#define FRAMES_KEPT R(0.9)   /* forgetting factor of a score, a block */
+enum { FRAMES_FORECAST = 6 }; /* frames of a block of forecasts */
 
 static int frames_count(const hystmpc_known *known) {
     return known->count < 0 ? 0 : known->count > HYSTMPC_SEEN ? HYSTMPC_SEEN : known->count;
@@ -29,11 +35,6 @@ static char *frames_block(const hystmpc_sensing *s, const hystmpc_extent *n, con
     const int known = frames_known(s, o);
     if (instant >= known) return (char *)(void *)o->now.known;
     return o->past + (long)((frames_written(s, o) - known + instant) % s->oldest) * hystmpc_estimate_bytes(n);
-}
-
-/* A row of states (S) and angle for each instant. */
-HYSTMPC_LOCAL long hystmpc_frames_work(const hystmpc_sensing *s, const hystmpc_extent *n) {
-    return (long)s->oldest * (n->states + 1) * (long)sizeof(real);
 }
 
 static void frames_remember(hystmpc_known *known, real y) {
@@ -75,36 +76,85 @@ HYSTMPC_LOCAL void hystmpc_frames_keep(const hystmpc_sensing *s, const hystmpc_e
     frames_forget(o->now.known);
 }
 
-/* The estimate `after` anew: that one sample before it under the command that was sent, to the state and the angle in
- * `row`, then with all its measurements. */
-static void frames_repeat(const hystmpc_sensing *s, const hystmpc_extent *n, char *before, char *after,
-                          const real *row) {
-    hystmpc_estimate e = hystmpc_estimate_at(n, after);
-    const hystmpc_known old = *e.known;
-    memcpy(after, before, (size_t)hystmpc_estimate_bytes(n));
-    frames_forget(e.known);
-    hystmpc_estimate_advance(s, n, &e, old.command, row, row[n->states]);
+/* The estimate `after` anew from that one sample before it, with all its measurements; the model's part stays. */
+static void frames_repeat(const hystmpc_sensing *s, const hystmpc_extent *n, char *before, char *after) {
+    const hystmpc_estimate b = hystmpc_estimate_at(n, before), a = hystmpc_estimate_at(n, after);
+    const hystmpc_known old = *a.known;
+    hystmpc_estimate e = a;
+    *a.known = *b.known;
+    a.known->command = old.command;
+    a.known->stalled = old.stalled;
+    a.known->added = old.added;
+    a.known->forecast_error = old.forecast_error;
+    memcpy(a.bank, b.bank, sizeof(real) * (size_t)n->bank);
+    frames_forget(a.known);
+    hystmpc_disturbance_advance(s, n, &e);
     for (int i = 0; i < frames_count(&old); i++) hystmpc_frames_correct(s, n, &e, old.seen[i]);
 }
 
-/* The model's states come first: where one fails the frame is refused, and nothing has been written. */
 HYSTMPC_LOCAL int hystmpc_frames_correct_late(const hystmpc_sensing *s, const hystmpc_model *m, hystmpc_observed *o,
-                                              real y, real age, char *room) {
+                                              real y, real age) {
     const hystmpc_extent n = hystmpc_extent_of(s, m);
     const int known = frames_known(s, o);
     if (!(R(0.0) <= age && age <= (real)known) || !is_finite(hystmpc_usable_angle(y))) return 0;
     const int back = (int)MATH(ceil)(age), first = known - back;
     hystmpc_estimate here = hystmpc_estimate_at(&n, frames_block(s, &n, o, first));
     const hystmpc_estimate next = hystmpc_estimate_at(&n, frames_block(s, &n, o, first + 1));
-    const real carried = ((real)back - age) * (here.angles[0] - next.angles[0]), *x = here.model;
-    real *work = hystmpc_observer_work(m, room), *row = work;
+    const real carried = ((real)back - age) * (here.angles[0] - next.angles[0]);
     if (frames_count(here.known) == HYSTMPC_SEEN) return 0;
-    for (int k = first + 1; k <= known; k++, x = row, row += n.states + 1) {
-        const hystmpc_estimate after = hystmpc_estimate_at(&n, frames_block(s, &n, o, k));
-        if (!hystmpc_next_of_model(m, x, after.known->command, row, row + n.states, room)) return 0;
-    }
     hystmpc_frames_correct(s, &n, &here, y + carried);
-    for (int k = first + 1; k <= known; k++, work += n.states + 1)
-        frames_repeat(s, &n, frames_block(s, &n, o, k - 1), frames_block(s, &n, o, k), work);
+    for (int k = first + 1; k <= known; k++) frames_repeat(s, &n, frames_block(s, &n, o, k - 1), frames_block(s, &n, o, k));
     return 1;
 }
+
+/* The learned part of all instants behind the oldest one, from the present weights. The disturbance takes up what the
+ * angle of an instant gains, so that what was measured there is explained as before. */
+static void frames_renew(const hystmpc_sensing *s, const hystmpc_model *m, const hystmpc_extent *n, hystmpc_observed *o,
+                         real *work) {
+    const hystmpc_learning *l = &o->learning;
+    const int known = frames_known(s, o), numbers = hystmpc_numbers_past(m->learner);
+    real *past = work, *added = work + numbers;
+    memcpy(past, l->behind, sizeof(real) * (size_t)numbers);
+    for (int k = 1; k <= known; k++) {
+        hystmpc_estimate e = hystmpc_estimate_at(n, frames_block(s, n, o, k));
+        if (k > 1) hystmpc_learning_advance(m->learner, past, e.known->command);
+        hystmpc_learning_added(m->learner, past, l->filters, e.alone, added);
+        const real change = added[0] - e.known->added;
+        for (int i = 0; i < n->angles; i++) e.angles[i] = e.alone[i] + added[i];
+        for (int i = 0; i < n->bank / 3; i++) e.bank[i] -= change;
+        e.known->disturbance -= hystmpc_believed(s, n, &e) * change;
+        e.known->added = added[0];
+    }
+}
+
+/* No later frame can come of the oldest instant of a full ring: what was measured there is final. The filters stand at
+ * that instant, so that a late frame never has to be learned twice. */
+HYSTMPC_LOCAL void hystmpc_frames_teach(const hystmpc_sensing *s, const hystmpc_model *m, hystmpc_observed *o,
+                                        real *work) {
+    const hystmpc_extent n = hystmpc_extent_of(s, m);
+    const hystmpc_learning *l = &o->learning;
+    if (s->oldest < 1 || frames_known(s, o) < s->oldest) return;
+    const hystmpc_estimate e = hystmpc_estimate_at(&n, frames_block(s, &n, o, 0));
+    const hystmpc_estimate next = hystmpc_estimate_at(&n, frames_block(s, &n, o, 1));
+    const real variance = hystmpc_sensor_variance(s, &n, e.bank), acted = l->filters->share;
+    hystmpc_learner taught = *m->learner;
+    int used = 0;
+    taught.noise = most(taught.noise, FRAMES_NOISE * variance);
+    taught.floor = most(taught.floor, FRAMES_FLOOR * variance);
+    taught.block = FRAMES_FORECAST;
+    taught.kept = FRAMES_KEPT;
+    taught.expected = variance;
+    for (int i = 0; i < frames_count(e.known); i++) {
+        const real y = e.known->seen[i];
+        if (!(absolute(y - e.angles[0] - e.known->disturbance) <= s->outlier)) continue;
+        hystmpc_learning_correct(&taught, l->behind, l->filters, y, e.alone[0], e.known->disturbance + e.known->added);
+        used = 1;
+    }
+    if (!used) hystmpc_learning_wait(m->learner, l->behind, l->filters);
+    hystmpc_learning_advance(m->learner, l->behind, next.known->command);
+    if (used && (acted > R(0.0) || l->filters->share > R(0.0))) frames_renew(s, m, &n, o, work);
+}
+
+#undef FRAMES_NOISE
+#undef FRAMES_FLOOR
+#undef FRAMES_KEPT

@@ -40,6 +40,8 @@ typedef struct {
     hystmpc_real scores[HYSTMPC_DRIVES + 2]; /* their means over the past blocks with motion [deg^2] */
     hystmpc_real forecast_error;             /* of the better forecast over that of none, 0 to 1.2 */
     hystmpc_real share;                      /* with which the best drive acts, 0 to 1 */
+    hystmpc_real waited;                     /* samples without a measurement since the last one that was used */
+    hystmpc_real travelled;                  /* way of the command in them, as a share of the range */
     int count;                               /* samples in this block */
     int blocks;                              /* with motion so far */
     int best;                                /* drive */

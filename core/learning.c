@@ -20,7 +20,6 @@ enum {
     LEARN_HISTORY = LEARN_QUEUE + HYSTMPC_DELAYS
 };
 
-#define LEARN_KEPT R(0.8)       /* forgetting factor of a score, a block */
 #define LEARN_BETTER R(0.8)     /* share of the present score at which another drive is taken */
 #define LEARN_LEAST_GAIN R(0.6) /* over the model's score, at which the learned part begins to act */
 #define LEARN_FULL_GAIN R(0.3)  /* beyond it, for its full effect */
@@ -61,7 +60,7 @@ HYSTMPC_LOCAL void hystmpc_learning_init(const hystmpc_learner *n, real *past, h
     l->references[0] = y - angle;
     l->references[1] = y;
     for (int i = 0; i < LEARN_DRIVES + 2; i++) l->sums[i] = l->scores[i] = R(0.0);
-    l->forecast_error = l->share = R(0.0);
+    l->forecast_error = l->share = l->waited = l->travelled = R(0.0);
     l->count = l->blocks = l->best = 0;
 }
 
@@ -123,25 +122,40 @@ static void correct_drives(const hystmpc_learner *n, real (*restrict z)[HYSTMPC_
         if (!usable[i]) start_covariance(n, p, i); /* rounding has eaten the covariance */
 }
 
+/* Mean square of what a forecast misses, without the noise of the measurements [deg^2]. */
+static real missed(const hystmpc_learner *n, real score) { return most(score - n->expected, R(0.0)) + n->floor; }
+
 /* What a block of forecasts says: the scores, the drive that is used, how far it acts. */
 static void judge(const hystmpc_learner *n, hystmpc_filters *l, const real *means) {
     if (means[LEARN_LAST_ANGLE] <= LEARN_MOVING * n->noise) return;
-    const real kept = least(LEARN_KEPT, (real)l->blocks / ((real)l->blocks + R(1.0)));
+    const real kept = least(n->kept, (real)l->blocks / ((real)l->blocks + R(1.0)));
     int first = 0;
     for (int i = 0; i < LEARN_DRIVES + 2; i++) l->scores[i] = kept * l->scores[i] + (R(1.0) - kept) * means[i];
     for (int i = 1; i < LEARN_DRIVES; i++)
         if (l->scores[i] < l->scores[first]) first = i;
     if (l->scores[first] < LEARN_BETTER * l->scores[l->best]) l->best = first;
-    const real gained = R(1.0) - (l->scores[l->best] + n->floor) / (l->scores[LEARN_MODEL_ALONE] + n->floor);
+    const real gained = R(1.0) - missed(n, l->scores[l->best]) / missed(n, l->scores[LEARN_MODEL_ALONE]);
     const real off = MATH(sqrt)(least(means[LEARN_MODEL_ALONE], means[l->best]) / means[LEARN_LAST_ANGLE]);
     l->forecast_error = LEARN_RECENT * l->forecast_error + (R(1.0) - LEARN_RECENT) * least(off, LEARN_WORST);
     l->blocks++;
     l->share = clamp((gained - LEARN_LEAST_GAIN) / LEARN_FULL_GAIN, R(0.0), R(1.0));
 }
 
+/* Way of the command in the sample that led to the measured angle, as a share of the range. */
+static real learning_travel(const hystmpc_learner *n, const real *past) {
+    const real *now = past + LEARN_HISTORY + n->delay * LEARN_INSTANT;
+    return absolute(now[0] - now[LEARN_INSTANT]);
+}
+
+HYSTMPC_LOCAL void hystmpc_learning_wait(const hystmpc_learner *n, const real *past, hystmpc_filters *l) {
+    l->waited += R(1.0);
+    l->travelled += learning_travel(n, past);
+}
+
 /* Every drive with a measurement used, and the errors of its forecast added. */
 static void correct_all(const hystmpc_learner *n, const real *past, hystmpc_filters *l, real y, real angle) {
-    const real *now = past + LEARN_HISTORY + n->delay * LEARN_INSTANT, travel = absolute(now[0] - now[LEARN_INSTANT]);
+    const real *now = past + LEARN_HISTORY + n->delay * LEARN_INSTANT;
+    const real travel = learning_travel(n, past) + l->travelled, samples = R(1.0) + l->waited;
     for (int delay = 0; delay < LEARN_DELAYS; delay++, now += LEARN_INSTANT) {
         real(*z)[HYSTMPC_LAGS] = l->z[delay], (*p)[HYSTMPC_LAGS] = l->covariance[delay];
         real h[HYSTMPC_UNKNOWNS][HYSTMPC_LAGS], error[HYSTMPC_LAGS], forecast[HYSTMPC_LAGS];
@@ -162,7 +176,7 @@ static void correct_all(const hystmpc_learner *n, const real *past, hystmpc_filt
         for (int a = 0; a < LEARN_UNKNOWNS; a++) {
             real *own = p[a * (a + 3) / 2];
             for (int i = 0; i < LEARN_LAGS; i++) {
-                const real grown = own[i] + n->growth[a] + n->walk[a] * travel;
+                const real grown = own[i] + n->growth[a] * samples + n->walk[a] * travel;
                 own[i] = least(grown, most(n->prior[a], own[i]));
             }
         }
@@ -175,6 +189,7 @@ HYSTMPC_LOCAL void hystmpc_learning_correct(const hystmpc_learner *n, const real
     const real own = y - angle - l->references[0], none = y - l->references[1];
     l->sums[LEARN_MODEL_ALONE] += own * own;
     l->sums[LEARN_LAST_ANGLE] += none * none;
+    l->waited = l->travelled = R(0.0);
     l->count++;
     if (l->count < n->block) return;
     real means[HYSTMPC_DRIVES + 2];
@@ -222,7 +237,6 @@ HYSTMPC_LOCAL void hystmpc_learning_state(const hystmpc_learner *n, const real *
     s->delay = (real)delay;
 }
 
-#undef LEARN_KEPT
 #undef LEARN_BETTER
 #undef LEARN_LEAST_GAIN
 #undef LEARN_FULL_GAIN

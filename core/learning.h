@@ -13,6 +13,8 @@ typedef struct {
     real walk[HYSTMPC_UNKNOWNS];   /* of them over the whole range of commands */
     real noise;                    /* variance of a measurement */
     real floor;                    /* mean square below which no forecast has to come */
+    real expected;                 /* part of a score that is noise of the measurements */
+    real kept;                     /* forgetting factor of a score, a block */
     real scale;                    /* angle over the whole range */
     int delay;                     /* samples of delay that the estimator takes care of */
     int block;                     /* samples of a block of forecasts */
@@ -28,6 +30,9 @@ HYSTMPC_LOCAL void hystmpc_learning_init(const hystmpc_learner *n, real *past, h
 
 /* One sample later under the command u. */
 HYSTMPC_LOCAL void hystmpc_learning_advance(const hystmpc_learner *n, real *past, real u);
+
+/* A sample without a measurement. */
+HYSTMPC_LOCAL void hystmpc_learning_wait(const hystmpc_learner *n, const real *past, hystmpc_filters *l);
 
 /* With a measurement used: `angle` is the model's at that instant, `disturbance` its own before this measurement. */
 HYSTMPC_LOCAL void hystmpc_learning_correct(const hystmpc_learner *n, const real *past, hystmpc_filters *l, real y,

@@ -13,7 +13,7 @@ static int observer_newest(const hystmpc_sensing *s) {
 }
 
 static int observer_learns(const hystmpc_sensing *s, const hystmpc_model *m) {
-    return s->sensor == HYSTMPC_CONTINUOUS && m && m->learner;
+    return (s->sensor == HYSTMPC_CONTINUOUS || s->sensor == HYSTMPC_FRAMES) && m && m->learner;
 }
 
 /* Whether the observer advances a model by itself. */
@@ -30,17 +30,18 @@ HYSTMPC_LOCAL int hystmpc_numbers_past(const hystmpc_learner *n) {
 }
 
 HYSTMPC_LOCAL hystmpc_extent hystmpc_extent_of(const hystmpc_sensing *s, const hystmpc_model *m) {
-    hystmpc_extent n = {0, 0, 0};
+    hystmpc_extent n = {0, 0, 0, 0};
     if (observer_newest(s)) return n;
     if (m && m->predictor) n.states = m->predictor->states;
     n.angles = s->delay + 1;
     if (s->noise) n.bank = 3 * s->noise->sensors * s->noise->drifts * s->noise->motions;
+    if (s->sensor == HYSTMPC_FRAMES && observer_learns(s, m)) n.alone = n.angles;
     return n;
 }
 
 HYSTMPC_LOCAL long hystmpc_estimate_bytes(const hystmpc_extent *n) {
     return observer_rounded((long)sizeof(hystmpc_known), 8) + observer_row(n->states) + 3 * observer_row(n->angles) +
-           observer_row(n->bank);
+           observer_row(n->bank) + observer_row(n->alone);
 }
 
 /* So many numbers of a block, which goes on behind them. */
@@ -59,6 +60,7 @@ HYSTMPC_LOCAL hystmpc_estimate hystmpc_estimate_at(const hystmpc_extent *n, char
     e.responsive = observer_take(&block, n->angles);
     e.moves = observer_take(&block, n->angles);
     e.bank = observer_take(&block, n->bank);
+    e.alone = observer_take(&block, n->alone);
     return e;
 }
 
@@ -66,9 +68,11 @@ HYSTMPC_LOCAL long hystmpc_observed_bytes(const hystmpc_sensing *s, const hystmp
     const hystmpc_extent n = hystmpc_extent_of(s, m);
     const long block = hystmpc_estimate_bytes(&n);
     long bytes = block;
-    if (observer_learns(s, m))
-        bytes += block + observer_rounded((long)sizeof(hystmpc_filters), 8) +
-                 observer_row(hystmpc_numbers_past(m->learner)) + observer_row(n.angles);
+    if (observer_learns(s, m)) {
+        const long past = observer_row(hystmpc_numbers_past(m->learner));
+        bytes += observer_rounded((long)sizeof(hystmpc_filters), 8) + past + observer_row(n.angles);
+        bytes += n.alone ? past : block;
+    }
     if (s->sensor == HYSTMPC_FRAMES) bytes += (long)s->oldest * block + 8;
     return bytes;
 }
@@ -81,12 +85,14 @@ HYSTMPC_LOCAL void hystmpc_observed_at(const hystmpc_sensing *s, const hystmpc_m
     o->now = hystmpc_estimate_at(&n, memory);
     memory += block;
     if (observer_learns(s, m)) {
-        o->alone = hystmpc_estimate_at(&n, memory);
-        memory += block;
+        o->alone = n.alone ? o->now : hystmpc_estimate_at(&n, memory);
+        if (n.alone) o->alone.angles = o->now.alone;
+        else memory += block;
         o->learning.filters = (hystmpc_filters *)(void *)memory;
         memory += observer_rounded((long)sizeof(hystmpc_filters), 8);
         o->learning.past = observer_take(&memory, hystmpc_numbers_past(m->learner));
         o->learning.added = observer_take(&memory, n.angles);
+        if (n.alone) o->learning.behind = observer_take(&memory, hystmpc_numbers_past(m->learner));
     }
     if (s->sensor == HYSTMPC_FRAMES) {
         o->past = memory;
@@ -100,7 +106,7 @@ static long observer_predictor_room(const hystmpc_model *m) {
 
 HYSTMPC_LOCAL long hystmpc_observer_bytes(const hystmpc_sensing *s, const hystmpc_model *m) {
     const hystmpc_extent n = hystmpc_extent_of(s, m);
-    const long work = s->sensor == HYSTMPC_FRAMES ? hystmpc_frames_work(s, &n) : 0;
+    const long work = n.alone ? observer_row(hystmpc_numbers_past(m->learner)) : 0;
     return observer_predictor_room(m) + observer_row(n.states) + observer_row(n.angles) + work;
 }
 
@@ -166,26 +172,25 @@ HYSTMPC_LOCAL int hystmpc_observer_init(const hystmpc_sensing *s, const hystmpc_
         observer_start(s, &n, &o->alone, x, angle, y, u);
         memset(o->learning.filters, 0, sizeof *o->learning.filters);
         hystmpc_learning_init(m->learner, o->learning.past, o->learning.filters, angle, u, y);
+        if (n.alone)
+            memcpy(o->learning.behind, o->learning.past, sizeof(real) * (size_t)hystmpc_numbers_past(m->learner));
         observer_put_together(m, &n, o);
     }
     return HYSTMPC_STARTED;
 }
 
-/* Estimated variance of the sensor noise: the geometric mean over the filters [deg^2]. */
-static real observer_sensor_variance(const hystmpc_sensing *s, const real *bank, int filters) {
+HYSTMPC_LOCAL real hystmpc_sensor_variance(const hystmpc_sensing *s, const hystmpc_extent *n, const real *bank) {
+    const int filters = n->bank / 3;
     const real *w = bank + 2 * filters;
     real total = R(0.0);
     for (int i = 0; i < filters; i++) total += s->logs[i] * w[i];
     return MATH(exp)(total);
 }
 
-/* How far the disturbance of frames is believed:
- *
- *     s = sum_j m_j z_j / (sum_j m_j^2 + doubt * sensor^2),   0 <= s <= 1 */
-static real observer_share(const hystmpc_sensing *s, const hystmpc_known *known, const real *bank, int filters) {
+HYSTMPC_LOCAL real hystmpc_believed(const hystmpc_sensing *s, const hystmpc_extent *n, const hystmpc_estimate *e) {
     if (s->sensor != HYSTMPC_FRAMES) return R(1.0);
-    const real noise = observer_sensor_variance(s, bank, filters);
-    return clamp(known->earned[0] / (known->earned[1] + s->doubt * noise), R(0.0), R(1.0));
+    const real noise = hystmpc_sensor_variance(s, n, e->bank);
+    return clamp(e->known->earned[0] / (e->known->earned[1] + s->doubt * noise), R(0.0), R(1.0));
 }
 
 HYSTMPC_LOCAL void hystmpc_estimate_correct(const hystmpc_sensing *s, const hystmpc_extent *n, hystmpc_estimate *e,
@@ -208,7 +213,7 @@ HYSTMPC_LOCAL void hystmpc_estimate_correct(const hystmpc_sensing *s, const hyst
         known->earned[0] += before * offset;
         known->earned[1] += before * before;
     }
-    const real share = observer_share(s, known, e->bank, filters), off = (R(1.0) - share) * mean;
+    const real share = hystmpc_believed(s, n, e), off = (R(1.0) - share) * mean;
     known->disturbance = share * mean;
     known->variance = variance + off * off;
 }
@@ -216,6 +221,13 @@ HYSTMPC_LOCAL void hystmpc_estimate_correct(const hystmpc_sensing *s, const hyst
 static void observer_drop_first(real *row, int count, real last) {
     for (int k = 0; k + 1 < count; k++) row[k] = row[k + 1];
     row[count - 1] = last;
+}
+
+HYSTMPC_LOCAL void hystmpc_disturbance_advance(const hystmpc_sensing *s, const hystmpc_extent *n, hystmpc_estimate *e) {
+    hystmpc_known *known = e->known;
+    if (n->bank) known->variance = hystmpc_noise_advance(s->noise, e->bank, e->moves[0], known->disturbance);
+    known->earned[0] *= s->forgets;
+    known->earned[1] *= s->forgets;
 }
 
 /* Without a sensor the travels stand still where the model does, and every sample counts as responsive. */
@@ -233,9 +245,7 @@ HYSTMPC_LOCAL void hystmpc_estimate_advance(const hystmpc_sensing *s, const hyst
     if (next || sensed) observer_drop_first(e->moves, n->angles, moved);
     if (!sensed) return;
     observer_drop_first(e->responsive, n->angles, answers ? R(1.0) : R(0.0));
-    if (n->bank) known->variance = hystmpc_noise_advance(s->noise, e->bank, e->moves[0], known->disturbance);
-    known->earned[0] *= s->forgets;
-    known->earned[1] *= s->forgets;
+    hystmpc_disturbance_advance(s, n, e);
 }
 
 /* Model, learned part and disturbance corrected. Where weights change the disturbance takes up the difference, so that
@@ -294,8 +304,8 @@ HYSTMPC_LOCAL void hystmpc_observer_correct(const hystmpc_sensing *s, const hyst
 }
 
 HYSTMPC_LOCAL int hystmpc_observer_correct_late(const hystmpc_sensing *s, const hystmpc_model *m, hystmpc_observed *o,
-                                                real y, real age, char *room) {
-    if (s->sensor == HYSTMPC_FRAMES) return hystmpc_frames_correct_late(s, m, o, y, age, room);
+                                                real y, real age) {
+    if (s->sensor == HYSTMPC_FRAMES) return hystmpc_frames_correct_late(s, m, o, y, age);
     if (s->sensor == HYSTMPC_NEWEST_FRAME) return observer_correct_frame(s, o, y, age);
     return 0;
 }
@@ -314,6 +324,7 @@ HYSTMPC_LOCAL void hystmpc_observer_advance(const hystmpc_sensing *s, const hyst
     real *next = hystmpc_observer_work(m, room), angle = R(0.0);
     modelled->known->command = known->command; /* what the device really holds */
     const int advanced = hystmpc_next_of_model(m, modelled->model, u, next, &angle, room);
+    if (n.alone) hystmpc_frames_teach(s, m, o, next + n.states);
     if (s->sensor == HYSTMPC_FRAMES) hystmpc_frames_keep(s, &n, o);
     hystmpc_estimate_advance(s, &n, modelled, u, advanced ? next : NULL, angle);
     if (!learns) return;
@@ -321,7 +332,7 @@ HYSTMPC_LOCAL void hystmpc_observer_advance(const hystmpc_sensing *s, const hyst
     known->command = u;
     known->stalled = o->alone.known->stalled;
     observer_put_together(m, &n, o);
-    if (n.bank) known->variance = hystmpc_noise_advance(s->noise, o->now.bank, o->now.moves[0], known->disturbance);
+    if (n.bank && !n.alone) known->variance = hystmpc_noise_advance(s->noise, o->now.bank, o->now.moves[0], known->disturbance);
 }
 
 /* Without an estimate of the model, and where nothing is learned, the numbers are zero. */
@@ -342,7 +353,7 @@ HYSTMPC_LOCAL real hystmpc_observer_age(const hystmpc_observed *o) {
 }
 
 HYSTMPC_LOCAL real hystmpc_observer_sigma(const hystmpc_sensing *s, const hystmpc_observed *o) {
-    const hystmpc_known *known = o->now.known;
-    const int filters = s->noise ? s->noise->sensors * s->noise->drifts * s->noise->motions : 0;
-    return MATH(sqrt)(known->variance) * observer_share(s, known, o->now.bank, filters);
+    const hystmpc_noise *b = s->noise;
+    const hystmpc_extent n = {0, 0, b ? 3 * b->sensors * b->drifts * b->motions : 0, 0};
+    return MATH(sqrt)(o->now.known->variance) * hystmpc_believed(s, &n, &o->now);
 }

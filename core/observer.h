@@ -64,19 +64,21 @@ typedef struct {
     real *responsive; /* (D + 1) whether each angle answers to the command, 1 or 0 */
     real *moves;      /* (D + 1) command travel of the sample that led to each angle */
     real *bank;       /* (3, M) disturbance, variance, weight of every filter */
+    real *alone;      /* (D + 1) `angles` without the learned part; only where frames teach it */
 } hystmpc_estimate;
 
 /* What is learned, in a memory. */
 typedef struct {
     hystmpc_filters *filters;
-    real *past;  /* learning.h */
-    real *added; /* (D + 1) to each angle of the model [deg] */
+    real *past;   /* learning.h */
+    real *behind; /* the same at the oldest instant that is remembered; only where frames teach */
+    real *added;  /* (D + 1) to each angle of the model [deg] */
 } hystmpc_learning;
 
 /* The memory of an observer. */
 typedef struct {
     hystmpc_estimate now;   /* with the learned part; its `model` is not used where `alone` is */
-    hystmpc_estimate alone; /* of the model alone; only where something is learned */
+    hystmpc_estimate alone; /* of the model alone; only where something is learned: of frames, a view of `now` */
     hystmpc_learning learning;
     char *past;             /* of frames: ring of (oldest) estimates of the last instants */
     int *instants;          /* written to it, less whole rounds of a full ring: 0 ... 2 oldest - 1 */
@@ -118,7 +120,7 @@ HYSTMPC_LOCAL void hystmpc_observer_correct(const hystmpc_sensing *s, const hyst
 
 /* The same with a measurement of `age` samples ago; 0 where it cannot be used. */
 HYSTMPC_LOCAL int hystmpc_observer_correct_late(const hystmpc_sensing *s, const hystmpc_model *m, hystmpc_observed *o,
-                                                real y, real age, char *room);
+                                                real y, real age);
 
 /* One sample later, u having been sent; where the model fails its state stands still. */
 HYSTMPC_LOCAL void hystmpc_observer_advance(const hystmpc_sensing *s, const hystmpc_model *m, hystmpc_observed *o,
@@ -138,8 +140,7 @@ HYSTMPC_API long hystmpc_observing_room(const void *sensing, const void *model);
 HYSTMPC_API int hystmpc_observing_init(const void *sensing, const void *model, char *memory, const real *x, real y,
                                        real u, char *room);
 HYSTMPC_API void hystmpc_observing_correct(const void *sensing, const void *model, char *memory, real y);
-HYSTMPC_API int hystmpc_observing_correct_late(const void *sensing, const void *model, char *memory, real y, real age,
-                                               char *room);
+HYSTMPC_API int hystmpc_observing_correct_late(const void *sensing, const void *model, char *memory, real y, real age);
 HYSTMPC_API void hystmpc_observing_advance(const void *sensing, const void *model, char *memory, real u, char *room);
 
 /* numbers (10): command, disturbance, variance, measured, age, added, forecast_error, sigma, missing, stalled; the state

@@ -24,9 +24,9 @@ void hystmpc_observing_correct(const void *sensing, const void *model, char *mem
     hystmpc_observer_correct(sensing, model, &o, y);
 }
 
-int hystmpc_observing_correct_late(const void *sensing, const void *model, char *memory, real y, real age, char *room) {
+int hystmpc_observing_correct_late(const void *sensing, const void *model, char *memory, real y, real age) {
     hystmpc_observed o = observing_at(sensing, model, memory);
-    return hystmpc_observer_correct_late(sensing, model, &o, y, age, room);
+    return hystmpc_observer_correct_late(sensing, model, &o, y, age);
 }
 
 void hystmpc_observing_advance(const void *sensing, const void *model, char *memory, real u, char *room) {

@@ -247,7 +247,7 @@ class GuardedController(HoldsAddresses):
         age = 0.0 if -_ROUNDING < age < 0.0 else age
         memory = self._copied(state)
         forget_faults()
-        if not self._engine.controller_measure(self._address, memory, usable_angle(y), age, self._room):
+        if not self._engine.controller_measure(self._address, memory, usable_angle(y), age):
             raise ControllerError("; ".join(faults()) or self._observer.refused(y, age))
         return replace(state, memory=memory)
 

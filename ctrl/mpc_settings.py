@@ -102,7 +102,7 @@ class PredictiveSettings(LawSettings):
     """Common settings of both predictive controllers.
 
     Attributes:
-        adaptation: learning on top of the model; null for none, which it is without a continuous sensor.
+        adaptation: learning on top of the model; null for none, which it is without a sensor.
         supervisor: switches to feedback where no forecast is of use; null for none, as without learning.
         horizon: samples of the preview; null for 20, or 0.24 s where that is more, but no more than 60.
         estimator: how state and disturbance are estimated from the measurements.
@@ -123,13 +123,15 @@ class PredictiveSettings(LawSettings):
     @model_validator(mode="before")
     @classmethod
     def _defaults_of_the_sensor(cls, data: Any) -> Any:
-        """Fill in defaults without a continuous sensor: no learning, less weight on moves, closer holds."""
+        """Fill in defaults without a continuous sensor: no supervisor, less weight on moves, closer holds."""
         if not isinstance(data, dict):
             return data
         estimator = data.get("estimator")
         sensor = estimator.get("sensor") if isinstance(estimator, dict) else getattr(estimator, "sensor", None)
         if sensor in ("intermittent", "none"):
-            data = {"adaptation": None, **data, "supervisor": None}  # a `tip.yaml` has one for its continuous sensor
+            data = {**data, "supervisor": None}  # a `tip.yaml` has one for its continuous sensor
+            if sensor == "none":
+                data = {"adaptation": None, **data}
             for block, key, value in (("weights", "rate", _BLIND_RATE), ("hold", "tolerance_deg", _BLIND_HOLD_DEG)):
                 if isinstance(given := data.get(block, {}), dict):
                     data[block] = {key: value, **given}
@@ -137,8 +139,8 @@ class PredictiveSettings(LawSettings):
 
     @model_validator(mode="after")
     def _learns_from_a_sensor(self) -> PredictiveSettings:
-        if self.adaptation is not None and self.estimator.sensor != "continuous":
-            raise ValueError(f"got adaptation with estimator.sensor {self.estimator.sensor}, expected continuous")
+        if self.adaptation is not None and self.estimator.sensor == "none":
+            raise ValueError("got adaptation with estimator.sensor none, expected a sensor, which learning needs")
         if self.supervisor is not None and self.adaptation is None:
             raise ValueError(
                 "got supervisor with adaptation null, expected supervisor null: forecasts are judged by learning"

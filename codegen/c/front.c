@@ -35,7 +35,7 @@ void hystmpc_set_target(hystmpc_controller *c, hystmpc_real angle_deg) {
 }
 
 int hystmpc_measure(hystmpc_controller *c, hystmpc_real angle_deg, hystmpc_real age) {
-    return hystmpc_controller_measure(&exported_problem, memory_of(c), angle_deg, age, room_of(c));
+    return hystmpc_controller_measure(&exported_problem, memory_of(c), angle_deg, age);
 }
 
 int hystmpc_look_on(hystmpc_controller *c, hystmpc_real angle_deg, hystmpc_real command) {

@@ -50,6 +50,7 @@ _START, _QUEUE = 3, 3 + DELAYS  # ends of the start and of the queue in the past
 _BLOCK_S, _LEAST_BLOCK = 0.24, 3
 _SENSOR, _LEAST_SENSOR_DEG = 2.0, 0.05  # assumed noise is larger than the sensor's, since the basis is not exact
 _OFFSET_DEG, _GAIN, _DRIFT = 10.0, 1.0, 0.3  # standard deviations of offset, w_c; and of a drift [deg/sqrt(s)]
+_KEPT = 0.8  # of a score in a block
 _FLOOR = 0.5  # standard deviations of the sensor: no model has to predict better
 
 _VECTOR = DELAYS, _SIZE, LAGS_S.size
@@ -63,6 +64,8 @@ FILTERS = np.dtype(
         ("scores", "f8", DRIVES + 2),
         ("forecast_error", "f8"),
         ("share", "f8"),
+        ("waited", "f8"),
+        ("travelled", "f8"),
         ("count", np.intc),
         ("blocks", np.intc),
         ("best", np.intc),
@@ -198,6 +201,7 @@ class FilterBank:
             walk=walk,
             noise=(_SENSOR * sensor) ** 2,
             floor=(_FLOOR * sensor) ** 2,
+            kept=_KEPT,
             scale=scale,
             delay=delay,
             block=max(round(_BLOCK_S / dt), _LEAST_BLOCK),

@@ -52,6 +52,13 @@ class Seen:
         size = ctypes.sizeof(FILTERS) // 8
         return BankState(numbers[size:], numbers[:size])
 
+    @property
+    def taught(self) -> BankState:
+        """What late frames have taught."""
+        numbers = self.memory[self.watcher.block + 8 * self.watcher.observer.places.angles :].view(np.float64)
+        size = ctypes.sizeof(FILTERS) // 8
+        return BankState(numbers[size:], numbers[:size])
+
     def copy(self) -> Seen:
         """The same state in a memory of its own, which may be changed."""
         return Seen(self.memory.copy(), self.watcher)
@@ -93,7 +100,7 @@ class Watcher:
 
     def correct_late(self, seen: Seen, y: float, age: float) -> Seen:
         memory = seen.memory.copy()
-        if not engine().observing_correct_late(*self._known, memory, y, age, self._room):
+        if not engine().observing_correct_late(*self._known, memory, y, age):
             raise ControllerError(self.observer.refused(y, age))
         return Seen(memory, self)
 

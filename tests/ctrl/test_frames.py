@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from hystmpc.ctrl import Source
 from hystmpc.ctrl.config import parse_controller
 from hystmpc.ctrl.estimation.observer import EstimatorSettings
+from hystmpc.ctrl.learning.predictor import LearnedPredictor
+from hystmpc.ctrl.mpc_settings import AdaptationSettings
 from hystmpc.trials.errors import ConfigError, ControllerError
 from hystmpc.trials.types import Vec
 
@@ -151,12 +153,69 @@ def test_gaps_are_bridged_as_long_as_the_settings_say() -> None:
     assert sources[-1] is Source.STOP
 
 
-def test_other_sensors_know_no_frames_and_learning_wants_a_continuous_one() -> None:
+def test_other_sensors_know_no_frames_and_learning_wants_a_sensor() -> None:
     for block in ({}, {"estimator": {"sensor": "none"}}):
         tip = controller_for(PLAY, "linearised_mpc", **block)
         tip.reset(PLAY.y_rest)
         tip.step(PLAY.y_rest)
         with pytest.raises(ControllerError, match="sensor intermittent"):
             tip.measure(PLAY.y_rest, 0.0)
-    with pytest.raises(ConfigError, match="expected continuous"):
-        parse_controller({"kind": "linearised_mpc", "adaptation": {}, **FRAMES}, "controller")
+    with pytest.raises(ConfigError, match="expected a sensor"):
+        parse_controller({"kind": "linearised_mpc", "adaptation": {}, "estimator": {"sensor": "none"}}, "controller")
+
+
+def frames_of_a_changed_device(teach: bool, factor: float, seconds: float = 40.0) -> float:
+    """RMSE of the last ten seconds [deg].
+
+    Five frames a second, a fifth of a second late, with half a degree of noise. The device answers to its command
+    `factor` times as much as its model says.
+    """
+    block = {} if teach else {"adaptation": None}
+    sensor = {"estimator": {"sensor": "intermittent", "sensor_sigma_deg": 0.5}}
+    tip, plant, random = controller_for(PLAY, "linearised_mpc", **sensor, **block), plant_for(PLAY), np.random
+    rest, noise = plant.reset(), random.default_rng(1)
+    tip.measure(rest, 0.0)
+    tip.set_reference(lambda t: rest + 12.0 * (1.0 - np.cos(0.9 * t)))
+    true, pending, errors = rest, list[tuple[int, float, float]](), list[float]()
+    for k in range(round(seconds / tip.dt)):
+        while pending and pending[0][0] <= k:
+            _, y, taken = pending.pop(0)
+            tip.measure(y, taken)
+        true = rest + factor * (plant.apply(tip.step(math.nan).u) - rest)
+        errors.append(true - rest - 12.0 * (1.0 - math.cos(0.9 * (k + 1) * tip.dt)))
+        if k % 5 == 0:
+            pending.append((k + 6, true + noise.normal(0.0, 0.5), tip.state().time_s))
+    return math.sqrt(np.mean(np.square(errors[-round(10.0 / tip.dt) :])))
+
+
+def test_frames_teach_what_a_changed_device_does() -> None:
+    taught, plain = (frames_of_a_changed_device(teach, 1.4) for teach in (True, False))
+    assert taught < 0.5 * plain
+
+
+def test_frames_of_the_device_as_modelled_teach_nothing() -> None:
+    taught, plain = (frames_of_a_changed_device(teach, 1.0) for teach in (True, False))
+    assert taught == plain
+
+
+def taught() -> Watcher:
+    """Observer whose frames teach when they are ten samples old."""
+    estimator = EstimatorSettings.parse({"sensor": "intermittent", "oldest_frame_s": 0.4}, "estimator")
+    return Watcher(LearnedPredictor(PLAY.predictor, AdaptationSettings()), estimator)
+
+
+def test_an_outlier_teaches_nothing() -> None:
+    angles = {2: PLAY.y_rest, 4: PLAY.y_rest + 1.0, 6: PLAY.y_rest + 2.0}
+    without, beside = (
+        led(taught(), angles | more, dict.fromkeys(angles | more, 3)) for more in ({}, {5: PLAY.y_rest + 60.0})
+    )
+    np.testing.assert_array_equal(beside.taught.z, without.taught.z)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.permutations(range(1, 9)))
+def test_the_order_in_which_frames_arrive_teaches_the_same(waits: list[int]) -> None:
+    angles = {2 + k: PLAY.y_rest + 3.0 * k for k in range(8)}
+    late, on_time = (led(taught(), angles, dict(zip(angles, order, strict=True))) for order in (waits, [0] * 8))
+    np.testing.assert_allclose(late.taught.z, on_time.taught.z, rtol=1e-9, atol=1e-12)
+    assert np.abs(on_time.taught.z[:, 1:]).max() > 0.0
