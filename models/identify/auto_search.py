@@ -20,7 +20,7 @@ from ..operators.static_curves import Line
 from ..start import search_box
 from .baseline import FreeCoreBaseline
 from .chain_fit import no_result
-from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain
+from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, fit_problem, gain
 from .parts import CoreForm, Form, core_forms, dead_time, device_parts, plain_of, split_delay, straight, whole_delay
 from .problem import Problem, TrialTerms
 from .runs import Blocks, Run, angle_range, command_range
@@ -33,6 +33,7 @@ SEARCH_HZ = 25.0
 
 _FROM_AFAR = 3  # factor on the evaluations of a fit that starts from a line instead of a neighbour
 _CORE = "core"
+_PLAIN = 13  # parameters of the largest core that is a plain kind
 _NEXT_ROUND = 0.5  # ratio of the durations of successive rounds
 _AT_LAST = 5  # duration of the last fit and the table of parts, in fits
 _A_SAMPLE = 0.75  # samples: a delay of half a sample comes from the hold
@@ -41,6 +42,7 @@ _THREADS = 2  # alternatives that are fitted in parallel
 
 # Thresholds, chosen on development data; `_CLEAR_SHARE` on short real logs, too.
 STANDARD_ERRORS = 2.0  # least fall of the held-out error for an added part
+_CORE_ERRORS = 1.0  # the same for a richer core: its form has no meaning that could be wrong
 _LEAST_SHARE = 0.05  # least fall in any case, as share of the held-out mean square error
 # A fall by this share for each block of three seconds is enough: in logs of a few blocks the standard error is as large
 # as the error itself, and a part that halves the error would be left out.
@@ -52,10 +54,10 @@ _ROUNDS = 3  # greatest number of passes over all parts
 _EVALUATIONS = 12  # free runs of one fit
 
 
-def worth(before: Blocks, after: Blocks) -> bool:
-    """Whether held-out errors fall enough for a part to be added."""
+def worth(before: Blocks, after: Blocks, errors: float = STANDARD_ERRORS) -> bool:
+    """Whether held-out errors fall enough, by so many standard errors, for a part to be added."""
     fall, error = gain(before, after)
-    sure = min(STANDARD_ERRORS * error, _CLEAR_SHARE * before.energy.size * before.mse)
+    sure = min(errors * error, _CLEAR_SHARE * before.energy.size * before.mse)
     return fall > max(sure, _LEAST_SHARE * before.mse)
 
 
@@ -127,7 +129,8 @@ class AutoSearch:
     richest core can replace a valve or a lag. The simplest of all tried devices is selected.
 
     Source: one-standard-error rule of Breiman, Friedman, Olshen, Stone, Classification and Regression Trees (1984),
-    section 3.4.3; see `worth` for the number of standard errors and the accepted loss of a simpler form.
+    section 3.4.3; see `worth` for the number of standard errors and the accepted loss of a simpler form, and
+    `least_of_simpler` for what the rule leaves open.
     """
 
     def __init__(
@@ -169,11 +172,20 @@ class AutoSearch:
             self._rounds(line, parts)
             chosen = self._simplest_tried(present)
             if chosen.core is self._cores[0] is not present.core:
-                chosen = self._simplest_tried(self._simplest(self._alternatives(_CORE, chosen), chosen))
-            return self._finished(self._with_one_zero(chosen))
+                chosen = self._simplest_tried(self._reselected(_CORE, chosen))
+            chosen = self._with_one_zero(chosen)
+            self._judge_plain_kinds(chosen.size)
+            return self._finished(self.least_of_simpler(chosen))
         except KeyboardInterrupt:
             self.interrupted, self.terms = True, present.hypothesis.problem.terms
             return self._simplest_tried(present)
+
+    def _judge_plain_kinds(self, largest: int) -> None:
+        """Judge each core alone, without drive or curve, up to a number of parameters."""
+        known = {_labels(c.core, c.forms) for c in self.tried if c.hypothesis.problem.terms == self.terms}
+        for core in self._cores:
+            if not core.curve and core.size <= min(largest, _PLAIN) and (core.label,) not in known:
+                self._judged(core, self._none(), self._fitted(core, self._none(), None))
 
     def _rounds(self, present: Choice, names: Sequence[str]) -> Choice:
         # for each part: the device at its last choice, and the tried forms
@@ -187,7 +199,7 @@ class AutoSearch:
                     self.tried += tried  # repeated devices weigh in the intervals as often
                     continue
                 first = len(self.tried)
-                present = self._simplest(self._alternatives(name, present), present)
+                present = self._reselected(name, present)
                 seen[name] = _labels(present.core, present.forms), self.tried[first:]
             if _labels(present.core, present.forms) == before:
                 break
@@ -198,7 +210,29 @@ class AutoSearch:
         alike = [present, *(c for c in self.tried if c.hypothesis.problem.terms == self.terms)]
         best = min(alike, key=lambda choice: choice.judged.mse)
         ordered = sorted(alike, key=lambda choice: (choice.size, choice.blocks, choice.judged.mse))
-        return next(c for c in ordered if c is best or not worth(c.judged, best.judged))
+        simple = next(c for c in ordered if c is best or not worth(c.judged, best.judged))
+        parts = [c for c in ordered if _part_labels(c.forms) == _part_labels(simple.forms)]
+        best = min(parts, key=lambda choice: choice.judged.mse)
+        return next(c for c in parts if c is best or not worth(c.judged, best.judged, _CORE_ERRORS))
+
+    def least_of_simpler(self, choice: Choice) -> Choice:
+        """Device, or one that was tried, is no larger, has no part or curve that it lacks, and errs less when held out.
+
+        So no plain kind that is in the search is better than what the search answers. The standard errors of `worth` do
+        not ensure it: they are of differences to the best device, and a simpler device may be surely worse than the
+        best one and still better than one that is perhaps as good.
+        """
+        parts = set(_part_labels(choice.forms))
+        simpler = [
+            other
+            for other in self.tried
+            if other.hypothesis.problem.terms == self.terms
+            and other.size <= choice.size
+            and parts.issuperset(_part_labels(other.forms))
+            and (not other.core.curve or other.core.label == choice.core.label)
+        ]
+        best = min([choice, *simpler], key=lambda other: other.judged.mse)
+        return choice if best is choice else min(choice, self._polished(best), key=lambda other: other.judged.mse)
 
     def _alternatives(self, name: str, present: Choice) -> list[tuple[CoreForm, dict[str, Form]]]:
         if name == _CORE:
@@ -256,7 +290,7 @@ class AutoSearch:
         """Device with a new selection of all parts except those that lost an effect."""
         for name in self._names:
             if name not in lost:
-                choice = self._simplest(self._alternatives(name, choice), choice)
+                choice = self._reselected(name, choice)
         return self._finished(choice)
 
     def part_contributions(self, choice: Choice) -> tuple[Choice, tuple[PartRow, ...]]:
@@ -323,7 +357,14 @@ class AutoSearch:
             errors[self.terms] = min(judged, key=lambda held_out: held_out.mse)
         return zeroed if worth(errors[plain], errors[zeroed]) else plain
 
-    def _simplest(self, made: Sequence[tuple[CoreForm, dict[str, Form]]], present: Choice) -> Choice:
+    def _reselected(self, name: str, present: Choice) -> Choice:
+        """Device with a new selection of one part."""
+        errors = _CORE_ERRORS if name == _CORE else STANDARD_ERRORS
+        return self._simplest(self._alternatives(name, present), present, errors)
+
+    def _simplest(
+        self, made: Sequence[tuple[CoreForm, dict[str, Form]]], present: Choice, errors: float = STANDARD_ERRORS
+    ) -> Choice:
         def fitted(alternative: tuple[CoreForm, dict[str, Form]]) -> tuple[CoreForm, dict[str, Form], Hypothesis]:
             return (*alternative, self._fitted(*alternative, present))
 
@@ -343,10 +384,10 @@ class AutoSearch:
                 break
             if id(hypothesis) not in judged:
                 # Training errors are too small: a part that they do not justify, held-out trials do not either.
-                if worth(self._validation(core).fitted_errors(hypothesis), best.judged):
+                if worth(self._validation(core).fitted_errors(hypothesis), best.judged, errors):
                     continue
                 judged[id(hypothesis)] = self._choice(core, forms, hypothesis)
-            if not worth(judged[id(hypothesis)].judged, best.judged):
+            if not worth(judged[id(hypothesis)].judged, best.judged, errors):
                 selected = judged[id(hypothesis)]
                 break
         self.tried += judged.values()
@@ -367,10 +408,9 @@ class AutoSearch:
         if isinstance(core.starts[0].core, Line):
             chains = (self._line_behind([c for c in effects if c not in core.curve], values[0]),)
             validation = replace(validation, baseline=FreeCoreBaseline(chains[0], self._command))
-        longer = replace(validation, evaluations=_FROM_AFAR * _EVALUATIONS)
         cores = [np.array(chain.core.values) for chain in chains]
-        fits = [longer.with_causes(effects, terms, z, values[:1]) for z in cores]
-        return min(fits, key=lambda fit: fit.mse)
+        best = min((validation.with_causes(effects, terms, z, values[:1]) for z in cores), key=lambda fit: fit.mse)
+        return fit_problem(best.problem, self.runs, best.q, (_FROM_AFAR - 1) * _EVALUATIONS, 1e-3)
 
     def _line_behind(self, effects: Sequence[Candidate], values: Sequence[Sequence[float]]) -> Chain:
         """Regression line over the output of the drive: behind a slow drive it is far steeper than over the command."""
@@ -434,8 +474,12 @@ def _names(form: Form) -> tuple[str, ...]:
     return tuple(c.label for c in form if c.free)
 
 
+def _part_labels(forms: Mapping[str, Form]) -> tuple[str, ...]:
+    return tuple(label for form in forms.values() for label in _names(form))
+
+
 def _labels(core: CoreForm, forms: Mapping[str, Form]) -> tuple[str, ...]:
-    return (core.label, *(label for form in forms.values() for label in _names(form)))
+    return (core.label, *_part_labels(forms))
 
 
 def _rmse(choice: Choice | None) -> float:
