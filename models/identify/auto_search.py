@@ -28,6 +28,9 @@ from .runs import Blocks, Run, angle_range, command_range
 SearchProgress = Callable[[float, float], None]
 """Told the share that is done, and the least error on held-out trials so far [deg]."""
 
+Enough = Callable[[Blocks, Blocks], bool]
+"""Whether held-out errors fall enough for a richer form."""
+
 SEARCH_HZ = 25.0
 """The structure is searched on trials of at most this rate [Hz]: what is found hangs on no rate of the logs."""
 
@@ -42,7 +45,6 @@ _THREADS = 2  # alternatives that are fitted in parallel
 
 # Thresholds, chosen on development data; `_CLEAR_SHARE` on short real logs, too.
 STANDARD_ERRORS = 2.0  # least fall of the held-out error for an added part
-_CORE_ERRORS = 1.0  # the same for a richer core: its form has no meaning that could be wrong
 _LEAST_SHARE = 0.05  # least fall in any case, as share of the held-out mean square error
 # A fall by this share for each block of three seconds is enough: in logs of a few blocks the standard error is as large
 # as the error itself, and a part that halves the error would be left out.
@@ -54,10 +56,26 @@ _ROUNDS = 3  # greatest number of passes over all parts
 _EVALUATIONS = 12  # free runs of one fit
 
 
-def worth(before: Blocks, after: Blocks, errors: float = STANDARD_ERRORS) -> bool:
-    """Whether held-out errors fall enough, by so many standard errors, for a part to be added."""
+def worth(before: Blocks, after: Blocks) -> bool:
+    """Whether held-out errors fall enough for a part to be added."""
     fall, error = gain(before, after)
-    sure = min(errors * error, _CLEAR_SHARE * before.energy.size * before.mse)
+    return _exceeds(fall, STANDARD_ERRORS * error, before)
+
+
+def recurs(before: Blocks, after: Blocks) -> bool:
+    """Whether held-out errors fall enough for a richer core: by the standard error of blocks and by that of trials.
+
+    A drive that is seen in one trial is there in all. The form of a core has no such meaning: what serves one trial
+    alone serves no other motion.
+    """
+    fall, error = gain(before, after)
+    each = np.bincount(before.run, before.energy - after.energy)
+    scatter = math.sqrt(each.size * float(np.var(each, ddof=1))) if each.size > 1 else 0.0
+    return _exceeds(fall, max(error, scatter / float(before.samples.sum())), before)
+
+
+def _exceeds(fall: float, error: float, before: Blocks) -> bool:
+    sure = min(error, _CLEAR_SHARE * before.energy.size * before.mse)
     return fall > max(sure, _LEAST_SHARE * before.mse)
 
 
@@ -213,7 +231,7 @@ class AutoSearch:
         simple = next(c for c in ordered if c is best or not worth(c.judged, best.judged))
         parts = [c for c in ordered if _part_labels(c.forms) == _part_labels(simple.forms)]
         best = min(parts, key=lambda choice: choice.judged.mse)
-        return next(c for c in parts if c is best or not worth(c.judged, best.judged, _CORE_ERRORS))
+        return next(c for c in parts if c is best or not recurs(c.judged, best.judged))
 
     def least_of_simpler(self, choice: Choice) -> Choice:
         """Device, or one that was tried, is no larger, has no part or curve that it lacks, and errs less when held out.
@@ -359,11 +377,11 @@ class AutoSearch:
 
     def _reselected(self, name: str, present: Choice) -> Choice:
         """Device with a new selection of one part."""
-        errors = _CORE_ERRORS if name == _CORE else STANDARD_ERRORS
-        return self._simplest(self._alternatives(name, present), present, errors)
+        enough = recurs if name == _CORE else worth
+        return self._simplest(self._alternatives(name, present), present, enough)
 
     def _simplest(
-        self, made: Sequence[tuple[CoreForm, dict[str, Form]]], present: Choice, errors: float = STANDARD_ERRORS
+        self, made: Sequence[tuple[CoreForm, dict[str, Form]]], present: Choice, enough: Enough = worth
     ) -> Choice:
         def fitted(alternative: tuple[CoreForm, dict[str, Form]]) -> tuple[CoreForm, dict[str, Form], Hypothesis]:
             return (*alternative, self._fitted(*alternative, present))
@@ -384,10 +402,10 @@ class AutoSearch:
                 break
             if id(hypothesis) not in judged:
                 # Training errors are too small: a part that they do not justify, held-out trials do not either.
-                if worth(self._validation(core).fitted_errors(hypothesis), best.judged, errors):
+                if enough(self._validation(core).fitted_errors(hypothesis), best.judged):
                     continue
                 judged[id(hypothesis)] = self._choice(core, forms, hypothesis)
-            if not worth(judged[id(hypothesis)].judged, best.judged, errors):
+            if not enough(judged[id(hypothesis)].judged, best.judged):
                 selected = judged[id(hypothesis)]
                 break
         self.tried += judged.values()
