@@ -16,6 +16,7 @@ from hystmpc.trials.types import Vec
 
 from ..chain import Chain
 from ..effects.effect import Candidate, Scale
+from ..operators.hysteresis import CurvedPlays
 from ..operators.static_curves import Line
 from ..start import search_box
 from .baseline import FreeCoreBaseline
@@ -167,6 +168,7 @@ class AutoSearch:
         self._done, self._planned, self._weight = 0.0, 1.0, 1.0  # in starting points of fits
         self.terms, self.interrupted = terms or TrialTerms(), False
         self.tried: list[Choice] = []
+        self._core_starts: dict[str, list[Vec]] = {}  # values of cores to start from
 
     @property
     def offsets(self) -> bool:
@@ -426,9 +428,12 @@ class AutoSearch:
         if isinstance(core.starts[0].core, Line):
             chains = (self._line_behind([c for c in effects if c not in core.curve], values[0]),)
             validation = replace(validation, baseline=FreeCoreBaseline(chains[0], self._command))
-        cores = [np.array(chain.core.values) for chain in chains]
+        cores = self._core_starts.get(core.label, [np.array(chain.core.values) for chain in chains])
         best = min((validation.with_causes(effects, terms, z, values[:1]) for z in cores), key=lambda fit: fit.mse)
-        return fit_problem(best.problem, self.runs, best.q, (_FROM_AFAR - 1) * _EVALUATIONS, 1e-3)
+        made = fit_problem(best.problem, self.runs, best.q, (_FROM_AFAR - 1) * _EVALUATIONS, 1e-3)
+        if isinstance(core.starts[0].core, CurvedPlays):  # linear in its slopes: no start leads elsewhere
+            self._core_starts[core.label] = [made.problem.retuned(made.q)]
+        return made
 
     def _line_behind(self, effects: Sequence[Candidate], values: Sequence[Sequence[float]]) -> Chain:
         """Regression line over the output of the drive: behind a slow drive it is far steeper than over the command."""
