@@ -74,14 +74,22 @@ static void drive(const Device *d, double *state, double u) {
  * moves the state of the core on. */
 static double bend(const Device *d, double *core, int n, int steps) {
     const Drawn *p = d->n;
-    const double *c = d->core, *places = d->places, one = 1.0;
+    const double *c = d->core, *places = d->places;
     double *out = d->spare;
     if (d->kind == CAPSTAN) {
-        hystmpc_capstan(places + 1, n, c, 0, core, d->size, c + 2, c + 2 + d->size, c[1], out);
+        const double *shares = c + 3, *weights = shares + d->size;
+        hystmpc_capstan(places + 1, n, c, 0, c[2], core, d->size, shares, weights, weights + d->size, c[1], out);
         return p->offset_deg + p->gain * out[n - 1];
     }
     if (d->kind == DAHL) {
-        hystmpc_dahl(places, n + 1, &one, 0, c, c + d->size, core, d->size, out);
+        const double *widths = c + 2, *shares = widths + d->size;
+        double *scale = out + n + 1;
+        scale[0] = 1.0; /* of no step */
+        for (int k = 1; k <= n; k++) {
+            const double speed = (places[k] - places[k - 1]) / (FINE_S * c[1]);
+            scale[k] = 1.0 + c[0] * exp(-speed * speed);
+        }
+        hystmpc_dahl(places, n + 1, scale, 1, widths, shares, core, d->size, out);
         return p->offset_deg + p->gain * (places[n] - out[n]);
     }
     if (d->kind == MUSCLE) {

@@ -1,10 +1,11 @@
 /* A drawn device of devices/drawn.py as a whole: drive, creep and core; its roll-outs, and a loop under PID.
  *
- * `sizes` (7,): kind of the core (0 capstan, 1 Dahl, 2 rod, 3 muscle), fine steps in a sample, commands Q that are
- * kept, delay in fine steps, steps of a rod in a sample; entries of the core's state, of a rod its contacts in the
- * shaft; of a rod its segments. `numbers`: the fields of `Drawn` in drawn.c in their order, then those of the core: of
- * a capstan wrap, pretension, shares (N,) and weights (N,); of Dahl elements widths (N,) and shares (N,); of rod and
- * muscle those of rod.h and muscle.h.
+ * `sizes` (7,): kind of the core (0 capstan or joints, 1 Dahl, 2 rod, 3 muscle), fine steps in a sample, commands Q that
+ * are kept, delay in fine steps, steps of a rod in a sample; entries of the core's state, of a rod its contacts in
+ * the shaft; of a rod its segments. `numbers`: the fields of `Drawn` in drawn.c in their order, then those of the core:
+ * of a capstan wrap, pretension, curl, shares, weights and drags, (N,) each; of Dahl elements the share b by which friction is
+ * greater at rest, its speed v_s, widths (N,), which are multiplied by 1 + b exp(-(v / v_s)^2), and shares (N,); of rod
+ * and muscle those of rod.h and muscle.h.
  *
  * State (S,): commands (Q,), drive, its speed, creep, last place of the core, state of the core. `work` is
  * 6 (max(fine, SETTLE) + 1) numbers, plus as many states as each function says. */

@@ -14,7 +14,7 @@ from pydantic import Field
 from hystmpc.gap.diagnosis import TrackingGap
 from hystmpc.gap.expected_tracking import AGREEMENT
 
-from ..devices.drawn import FAMILIES, DrawnSettings
+from ..devices.drawn import DrawnSettings
 from ..page import Bar, Figures, beyond, by_device, over
 from ..study import Figure, Outcome, Result
 
@@ -146,7 +146,7 @@ def _median(name: str, values: Figures, limit: float) -> Bar:
 
 def _by_family(outcome: CommissionOutcome, name: str, figure: Callable[[Figures], float], limit: float) -> list[Bar]:
     values, judged = by_device(outcome.figures, figure), []
-    for family in FAMILIES:
+    for family in outcome.settings.families:
         members = [value for device, value in values.items() if outcome.families[device] == family]
         if members:
             judged.append(Bar(f"{name}, {family}: median", float(np.median(members)), (0.0, limit), len(members), ()))

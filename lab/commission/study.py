@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from hystmpc.trials.report import MEASURED, MODEL, PALETTE, Heading, Plot, Report
 
-from ..devices.drawn import FAMILIES, DrawnDevice, drawn_devices
+from ..devices.drawn import DrawnDevice, drawn_devices
 from ..page import Cell, StudyTable, bars_table, cell, figures_table, judged_by, ratios_figure, rmse_of, set_up
 from ..study import Study
 from .job import run_stage
@@ -70,7 +70,7 @@ def _ratios(outcome: CommissionOutcome) -> Figure:
     """RMSE divided by that of the better tuned rival."""
     named = ("commissioned", "sibling", "stranger")
     subjects = (("commissioned", MODEL), ("model of another device", MEASURED), ("model of another family", PALETTE[5]))
-    rows: dict[str, list[list[float]]] = {family: [] for family in FAMILIES}
+    rows: dict[str, list[list[float]]] = {family: [] for family in outcome.settings.families}
     for device, figures in outcome.figures.items():
         rows[outcome.families[device]].append([over_rival(name)(figures) for name in named])
     return ratios_figure(rows, subjects)

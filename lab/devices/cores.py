@@ -1,4 +1,4 @@
-"""Cores of random devices: capstan friction, Dahl elements, rod and air muscle; their time grid."""
+"""Cores of random devices: tendons, Dahl elements, rod and air muscle; their time grid."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TRAVEL_MM = 6.0
 STROKE = 0.6
 """Share of the travel of the unlogged cycle before a trial, so that a trial does not open a virgin device."""
 
-_NODES = 16
+_NODES, _JOINTS = 16, 12
 FINE_S = 0.002
 RATE_HZ = 25.0
 PARTS = round(1 / (RATE_HZ * FINE_S))
@@ -119,9 +119,31 @@ class QuasiStatic(Core):
         return self.offset_deg + self.gain * self.deflection(whole, factors)[before.size :]
 
 
+@dataclass(frozen=True)
+class TendonCore(QuasiStatic):
+    """Core of an elastic tendon whose tension is lost by friction along its way."""
+
+    CURL: ClassVar[float] = 0.0
+    wrap: float
+    pretension: float
+
+    def deflection(self, x: Vec, scale: Vec) -> Vec:
+        out, tension = np.empty(x.size), self.virgin()
+        kernels.capstan(x, self.wrap * scale, self.CURL, tension, self.points(), self.pretension, out)
+        return out
+
+    def virgin(self) -> Vec:
+        """Tensions (N,) of a virgin tendon [N]."""
+        return np.full(self.points()[0].size, self.pretension)
+
+    @abstractmethod
+    def points(self) -> tuple[Vec, Vec, Vec]:
+        """Displacement of the proximal end, and bend, by the tension of each point (N,) [mm/N]; its drag (N,) [N]."""
+
+
 @final
 @dataclass(frozen=True)
-class CapstanCore(QuasiStatic):
+class CapstanCore(TendonCore):
     """Tendon in a bent sheath with friction proportional to the local tension (capstan law); its last part bends.
 
     The tendon also rubs along the part that bends, so that this part does not move as one piece.
@@ -154,21 +176,10 @@ class CapstanCore(QuasiStatic):
     pretension: float = 8.0
     bending: float = 0.5
 
-    def deflection(self, x: Vec, scale: Vec) -> Vec:
-        out, tension = np.empty(x.size), self.virgin()
-        shares, weights = self.compliances()
-        kernels.capstan(x, self.wrap * scale, tension, shares, weights, self.pretension, out)
-        return out
-
-    def virgin(self) -> Vec:
-        """Tensions (N,) of a virgin tendon [N]."""
-        return np.full(_NODES, self.pretension)
-
-    def compliances(self) -> tuple[Vec, Vec]:
-        """Displacement of the proximal end, and bend, by the tension of each point (N,) [mm/N]."""
+    def points(self) -> tuple[Vec, Vec, Vec]:
         bends = np.arange(_NODES) >= round((1 - self.bending) * _NODES)
         weights = bends / bends.sum() / self.load
-        return weights + self.compliance / _NODES, weights
+        return weights + self.compliance / _NODES, weights, np.zeros(_NODES)
 
     def stiffer(self, factor: float) -> Self:
         return replace(self, load=self.load * factor)
@@ -189,17 +200,28 @@ class DahlCore(QuasiStatic):
         offset_deg: angle at zero distal displacement [deg].
         friction: sum of the saturated deflections, half the width of the full loop [mm].
         spread: widest over narrowest element.
+        breakaway: share by which friction is greater at rest (Stribeck): all widths are multiplied by
+            1 + breakaway exp(-(v / speed)^2).
+        speed: at which most of that is gone [mm/s].
+
+    Source: of the speed's effect Canudas de Wit et al., A new model for control of systems with friction, IEEE T-AC 40
+    (1995), without viscous terms.
     """
 
     DRAWN: ClassVar = {"gain": (9, 12), "offset_deg": (10, 30), "friction": (0.15, 0.35), "spread": (4, 9)}
+    STRIBECK: ClassVar = {"breakaway": (0.2, 0.8), "speed": (0.5, 5.0)}
     FRICTION = ("friction",)
     gain: float = 10.0
     offset_deg: float = 20.0
     friction: float = 0.25
     spread: float = 6.0
+    breakaway: float = 0.0
+    speed: float = 2.0
 
     def deflection(self, x: Vec, scale: Vec) -> Vec:
         widths = np.geomspace(1.0, self.spread, 8) * 0.08
+        v = np.diff(x, prepend=x[0]) / FINE_S
+        scale = scale * (1 + self.breakaway * np.exp(-((v / self.speed) ** 2)))
         shares = np.full(8, self.friction / float(widths.sum()))
         out, state = np.empty(x.size), np.zeros(8)
         kernels.dahl(x, scale, widths, shares, state, out)
@@ -211,6 +233,61 @@ class DahlCore(QuasiStatic):
 
     def reweighted(self, factor: float) -> Self:
         """Same device with another spread of the elements."""
+        return replace(self, spread=self.spread * factor)
+
+
+@final
+@dataclass(frozen=True)
+class JointsCore(TendonCore):
+    """Twelve elastic joints in series, each with dry friction, on an elastic tendon that loses tension along them.
+
+    Joint i holds its moment over the tendon's arm, M_i [N], while it is within its friction of the tension there:
+
+        T exp(-wrap s_i) - d_i <= M_i <= T exp(+wrap s_i) + d_i,  s_i = i / 12 + CURL |bend up to joint i|
+
+    Attributes:
+        gain: tip angle over distal displacement [deg/mm].
+        offset_deg: angle at zero distal displacement [deg].
+        friction: mean of the joints' dry friction d_i [N].
+        spread: friction of the last joint over that of the first.
+        wrap: friction coefficient of the tendon times its wrap angle over all joints, straight.
+        load: stiffness of all joints together [N/mm].
+        compliance: of the tendon [mm/N].
+        pretension: at rest [N].
+    """
+
+    DRAWN: ClassVar = {
+        "gain": (9, 13),
+        "offset_deg": (10, 30),
+        "friction": (0.05, 0.4),
+        "spread": (0.2, 5.0),
+        "wrap": (0.02, 0.08),
+        "load": (1.5, 2.5),
+        "compliance": (0.05, 0.12),
+        "pretension": (4, 9),
+    }
+    FRICTION = ("friction", "wrap")
+    CURL = 0.8  # what a millimetre of bend adds to the wrap, as share of that of the straight device
+    gain: float = 11.0
+    offset_deg: float = 20.0
+    friction: float = 0.2
+    spread: float = 2.0
+    wrap: float = 0.05
+    load: float = 2.0
+    compliance: float = 0.08
+    pretension: float = 6.0
+
+    def points(self) -> tuple[Vec, Vec, Vec]:
+        weights = np.concatenate([[0.0], np.full(_JOINTS, 1 / (_JOINTS * self.load))])
+        drags = np.geomspace(1.0, self.spread, _JOINTS)
+        shares = weights + np.concatenate([[self.compliance], np.zeros(_JOINTS)])
+        return shares, weights, np.concatenate([[0.0], drags * self.friction / drags.mean()])
+
+    def stiffer(self, factor: float) -> Self:
+        return replace(self, load=self.load * factor)
+
+    def reweighted(self, factor: float) -> Self:
+        """Same device with another distribution of the friction over its joints."""
         return replace(self, spread=self.spread * factor)
 
 

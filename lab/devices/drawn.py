@@ -1,4 +1,4 @@
-"""Random devices: drive, creep, one of four cores, sensor; and such a device as a plant."""
+"""Random devices: drive, creep, one of several cores, sensor; and such a device as a plant."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import Annotated, Any, final
+from typing import Annotated, Any, Literal, final
 
 import numpy as np
 from pydantic import Field
@@ -19,13 +19,16 @@ from hystmpc.trials.types import Vec
 
 from ..study import StudySettings
 from . import kernels
-from .cores import CapstanCore, Core, DahlCore, MuscleCore, RodCore
+from .cores import CapstanCore, Core, DahlCore, JointsCore, MuscleCore, RodCore, TendonCore
 from .kernels import CAPSTAN, DAHL, FINE_S, MUSCLE, OWN, ROD, Packed
 from .muscle import STATES
 from .rod import RodCatheter
 from .rod_solver import packed as rod_packed
 
 FAMILIES = ("rod", "capstan", "dahl", "muscle")
+OUTSIDE = ("joints", "stribeck")
+"""Families whose physics no operator of `fit auto` has; drawn where they are asked for."""
+
 RATES_HZ = (25.0, 50.0, 250.0)
 ABSENT = 0.3
 """Share of the devices without lag, of those without delay, and of those without creep."""
@@ -34,9 +37,16 @@ _SERVO = 0.25  # share of the lags that are servos of second order
 _LAG_S, _DELAY_SAMPLES, _CREEP, _CREEP_S = (0.02, 0.25), (0.5, 4.0), (0.03, 0.12), (0.8, 8.0)
 _NOISE_DEG, _RATE = (0.03, 0.3), (2.5, 7.0)  # the rate in whole strokes a second
 _CORES: Mapping[str, type[Core]] = MappingProxyType(
-    {"rod": RodCore, "capstan": CapstanCore, "dahl": DahlCore, "muscle": MuscleCore}
+    {
+        "rod": RodCore,
+        "capstan": CapstanCore,
+        "dahl": DahlCore,
+        "muscle": MuscleCore,
+        "joints": JointsCore,
+        "stribeck": DahlCore,
+    }
 )
-_CODES = {"rod": ROD, "capstan": CAPSTAN, "dahl": DAHL, "muscle": MUSCLE}
+_CODES = {"rod": ROD, "capstan": CAPSTAN, "dahl": DAHL, "muscle": MUSCLE, "joints": CAPSTAN, "stribeck": DAHL}
 _ELEMENTS = 8  # of a Dahl core
 _REVERSAL = 1.15  # widths of the Dahl elements over those at which the angle stands still at a reversal
 _ROD_STEP_S = 0.02  # longest, as in the blind check
@@ -50,7 +60,7 @@ class DrawnDevice:
         x = servo or lag(u(t - delay)),  z' = (x - z) / creep_s,  theta = core(x + creep z),  y = theta + noise
 
     Attributes:
-        family: of `FAMILIES`.
+        family: of `FAMILIES` or `OUTSIDE`.
         lag_s: of the drive [s], 0 for none; of a servo the delay of a ramp, 2 damping / frequency.
         damping: of a second-order servo; 0 for a lag of first order.
         delay_s: whole fine steps [s].
@@ -62,7 +72,7 @@ class DrawnDevice:
     number: int
     family: str
     rate_hz: float
-    core: RodCore | CapstanCore | DahlCore | MuscleCore
+    core: RodCore | CapstanCore | JointsCore | DahlCore | MuscleCore
     lag_s: float
     damping: float
     delay_s: float
@@ -108,7 +118,9 @@ class DrawnDevice:
         return (whole + 1.0 - share) / self.rate_hz
 
 
-def draw_devices(count: int, seed: int, quick: bool = False) -> tuple[DrawnDevice, ...]:
+def draw_devices(
+    count: int, seed: int, quick: bool = False, families: Sequence[str] = FAMILIES
+) -> tuple[DrawnDevice, ...]:
     """Draw devices of alternating family, each family at all rates; equal arguments give equal devices.
 
     `ABSENT` of them have no lag, as many no delay and as many no creep, drawn apart from each other.
@@ -119,11 +131,11 @@ def draw_devices(count: int, seed: int, quick: bool = False) -> tuple[DrawnDevic
     random = np.random.default_rng([seed, 16])
     rates = RATES_HZ[:1] if quick else RATES_HZ
     gone = [set(random.permutation(count)[: math.ceil(ABSENT * count)].tolist()) for _ in range(3)]
-    starts = random.permutation(len(FAMILIES))
+    starts = random.permutation(len(families))
     devices = []
     for k in range(count):
-        family, turn = FAMILIES[k % len(FAMILIES)], k // len(FAMILIES)
-        rate = rates[(turn + int(starts[k % len(FAMILIES)])) % len(rates)]
+        family, turn = families[k % len(families)], k // len(families)
+        rate = rates[(turn + int(starts[k % len(families)])) % len(rates)]
         devices.append(_drawn(np.random.default_rng([seed, 17, k]), k, family, rate, [k in which for which in gone]))
     return tuple(devices)
 
@@ -134,11 +146,13 @@ class DrawnSettings(StudySettings):
     Attributes:
         devices: how many are drawn.
         rates_hz: of the drawn devices, those of these sample rates are done [Hz]; all where it is empty.
+        families: of `FAMILIES` and `OUTSIDE`, in turn.
         evaluations: closed-loop runs over all motions in the search of each rival's gains, about.
     """
 
     devices: Annotated[int, Field(ge=1, le=1000)] = 60
     rates_hz: tuple[float, ...] = ()
+    families: tuple[Literal["rod", "capstan", "dahl", "muscle", "joints", "stribeck"], ...] = FAMILIES
     evaluations: Annotated[int, Field(ge=10)] = 300
 
     def chosen(self, drawn: Sequence[DrawnDevice]) -> list[DrawnDevice]:
@@ -148,7 +162,7 @@ class DrawnSettings(StudySettings):
 
 def drawn_devices(settings: DrawnSettings) -> tuple[DrawnDevice, ...]:
     """All devices of a study's draw."""
-    return draw_devices(settings.devices, settings.seed, settings.quick)
+    return draw_devices(settings.devices, settings.seed, settings.quick, settings.families)
 
 
 def _drawn(random: np.random.Generator, number: int, family: str, rate_hz: float, gone: list[bool]) -> DrawnDevice:
@@ -173,8 +187,10 @@ def _drawn(random: np.random.Generator, number: int, family: str, rate_hz: float
     )
 
 
-def _core(random: np.random.Generator, family: str) -> RodCore | CapstanCore | DahlCore | MuscleCore:
+def _core(random: np.random.Generator, family: str) -> RodCore | CapstanCore | JointsCore | DahlCore | MuscleCore:
     core = _CORES[family].draw(random)
+    if family == "stribeck":
+        core = replace(core, **{name: float(random.uniform(*ends)) for name, ends in DahlCore.STRIBECK.items()})
     # Relaxation of the rod itself would be an additional creep.
     return replace(core, fast_share=0.0, slow_share=0.0) if isinstance(core, RodCore) else core  # type: ignore[return-value]
 
@@ -189,9 +205,7 @@ def worn(device: DrawnDevice, friction: float, stiffness: float) -> DrawnDevice:
     if isinstance(core, MuscleCore):
         changes = {"friction": core.friction / friction, "greatest_deg": core.greatest_deg / stiffness}
     else:
-        names: tuple[str, ...] = ("wrap",) if isinstance(core, CapstanCore) else ("friction",)
-        names += ("drag_n",) if isinstance(core, RodCore) else ()
-        changes = {name: getattr(core, name) * friction for name in names} | {"gain": core.gain / stiffness}
+        changes = {name: getattr(core, name) * friction for name in core.FRICTION} | {"gain": core.gain / stiffness}
     return replace(device, core=replace(core, **changes))
 
 
@@ -226,17 +240,18 @@ def _core_numbers(core: Core, step_s: float) -> tuple[int, int, Vec]:
     if isinstance(core, RodCore):
         rod = core.rod()
         return rod.shaft_contacts, rod.segments, rod_packed(rod.numbers(), rod.step_numbers(step_s))
-    if isinstance(core, CapstanCore):
-        shares, weights = core.compliances()
-        return shares.size, 0, np.concatenate([(core.wrap, core.pretension), shares, weights])
+    if isinstance(core, TendonCore):
+        points = core.points()
+        return points[0].size, 0, np.concatenate([(core.wrap, core.pretension, core.CURL), *points])
     if isinstance(core, MuscleCore):
         return STATES, 0, np.array(core.numbers_of_muscle())
     assert isinstance(core, DahlCore)
     widths = np.geomspace(1.0, core.spread, _ELEMENTS)
     # At a reversal an element turns twice as fast as the place moves: together they may not outrun it, else the angle
     # would go on rising while the command falls.
-    widths *= _REVERSAL * 2 * _ELEMENTS * core.friction / float(widths.sum())
-    return _ELEMENTS, 0, np.concatenate([widths, np.full(_ELEMENTS, core.friction / float(widths.sum()))])
+    widths *= _REVERSAL * (2 + core.breakaway) * _ELEMENTS * core.friction / float(widths.sum())
+    shares = np.full(_ELEMENTS, core.friction / float(widths.sum()))
+    return _ELEMENTS, 0, np.concatenate([(core.breakaway, core.speed), widths, shares])
 
 
 def _virgin(device: DrawnDevice, p: Packed) -> Vec:
@@ -247,7 +262,7 @@ def _virgin(device: DrawnDevice, p: Packed) -> Vec:
     elif isinstance(core, MuscleCore):
         core_state = np.array([0.0, 0.0, -1.0, 0.0, 0.0])
     else:
-        core_state = core.virgin() if isinstance(core, CapstanCore) else np.zeros(_ELEMENTS)
+        core_state = core.virgin() if isinstance(core, TendonCore) else np.zeros(_ELEMENTS)
     return np.concatenate([np.zeros(p.commands + OWN), core_state])
 
 

@@ -23,9 +23,13 @@ MUSCLE_PARTS = 2
 """Steps of a muscle in a fine step, whose valve takes 2 ms."""
 
 
-def capstan(x: Vec, wrap: Vec, tension: Vec, shares: Vec, weights: Vec, rest: float, out: Vec) -> None:
-    """Bend out (T,) of a catheter with the tendon's proximal end at x (T,) [mm]; `tension` (N,) [N] is the state."""
-    laboratory().capstan(x, x.size, wrap, 1, tension, tension.size, shares, weights, rest, out)
+def capstan(x: Vec, wrap: Vec, curl: float, tension: Vec, points: tuple[Vec, Vec, Vec], rest: float, out: Vec) -> None:
+    """Bend out (T,) of a catheter with the tendon's proximal end at x (T,) [mm]; `tension` (N,) [N] is the state.
+
+    Args:
+        points: shares, weights and drags, (N,) each.
+    """
+    laboratory().capstan(x, x.size, wrap, 1, curl, tension, tension.size, *points, rest, out)
 
 
 def dahl(x: Vec, scale: Vec, widths: Vec, shares: Vec, deflection: Vec, out: Vec) -> None:

@@ -17,13 +17,14 @@ _RETURN, _REST_S = 0.3, 1.0  # share of the greatest speed on the return, and re
 _QUICK = 0.25  # of the full length
 
 
-def recordings(plant: DrawnPlant, quick: bool = False) -> tuple[Trial, ...]:
+def recordings(plant: DrawnPlant, quick: bool = False, draw: int = 1) -> tuple[Trial, ...]:
     """Trials of three minutes in total at the device's rate, each from the rest after a reset.
 
-    Steps and ramps with holds, one long hold, slow, middling and fast sines, and reversals at random.
+    Steps and ramps with holds, one long hold, slow, middling and fast sines, and reversals at random; others by another
+    number of the draw.
     """
     limits, share = plant.device.limits, _QUICK if quick else 1.0
-    random = np.random.default_rng([plant.device.seed, 1])
+    random = np.random.default_rng([plant.device.seed, draw])
     return tuple(
         _recorded(plant.reseeded(int(random.integers(2**31))), motion, name)
         for name, motion in identification_motions(limits.upper, limits.rate, random, share)

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from hystmpc.trials.report import MEASURED, MODEL, PALETTE, Heading, Plot, Report
 
-from ..devices.drawn import FAMILIES, DrawnDevice, drawn_devices
+from ..devices.drawn import DrawnDevice, drawn_devices
 from ..page import (
     NOTHING,
     Cell,
@@ -52,7 +52,7 @@ the device itself as its model. Every RMSE is of the true angle over three fresh
 def families_table(outcome: IdentifyOutcome) -> StudyTable:
     """Table of medians by family."""
     rows: list[list[Cell]] = []
-    for family in (*FAMILIES, None):
+    for family in (*outcome.settings.families, None):
         medians = summary(outcome, family)
         rows.append([family or "all", *(cell(value) for value in medians.values())])
     return StudyTable(
@@ -88,7 +88,7 @@ def _ratios(outcome: IdentifyOutcome) -> Figure:
     """RMSE divided by that of the better tuned rival."""
     named = ("linearised", "sampling", "exact")
     subjects = (("default MPC", MODEL), ("sampling MPC", MEASURED), ("device known", PALETTE[5]))
-    rows: dict[str, list[list[float]]] = {family: [] for family in FAMILIES}
+    rows: dict[str, list[list[float]]] = {family: [] for family in outcome.settings.families}
     for r in outcome.done:
         rows[str(r.facts["family"])].append([over(name, *TUNED)(r.figures) for name in named])
     return ratios_figure(rows, subjects)

@@ -34,6 +34,7 @@ class Name(StrEnum):
     KINDS = "kinds"
     CONTROL = "control"
     IDENTIFY = "identify"
+    AUTO = "auto"
     COMMISSION = "commission"
     PUBLIC = "public"
 
@@ -44,7 +45,8 @@ _OPTIONS: Mapping[Name, tuple[str, ...]] = MappingProxyType(
         **dict.fromkeys(_PAPERS, ("logs", "epochs_scale", "kinds", "presets", "directions", "stages")),
         Name.KINDS: ("data", "kinds", "presets"),
         Name.CONTROL: ("rates_hz", "plants", "controllers", "motions"),
-        Name.IDENTIFY: ("devices", "kind", "drive", "rates_hz"),
+        Name.IDENTIFY: ("devices", "families", "kind", "drive", "rates_hz"),
+        Name.AUTO: ("devices", "families", "kinds", "orders", "rates_hz"),
         Name.COMMISSION: ("devices", "rates_hz", "diagnose"),
         Name.PUBLIC: ("dataset", "data", "test", "kinds"),
     }
@@ -74,15 +76,13 @@ def study(
         bool | None, typer.Option("--diagnose/--no-diagnose", help="Of `commission`: whether models are diagnosed.")
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Only prove that everything runs.")] = False,
-    loop_rates: Annotated[
-        str | None, typer.Option("--rates", help="Of `control`, `identify` and `commission` [Hz], such as 25,250.")
-    ] = None,
+    loop_rates: Annotated[str | None, typer.Option("--rates", help="Rates done [Hz], such as 25,250.")] = None,
     plants: Annotated[str | None, typer.Option(help="Of `control`, separated by commas; else all.")] = None,
     controllers: Annotated[str | None, typer.Option(help="Of `control`, separated by commas; else all.")] = None,
     motions: Annotated[str | None, typer.Option(help="Of `control`, separated by commas; else all.")] = None,
-    devices: Annotated[
-        int | None, typer.Option(min=1, help="Of `identify` and `commission`: how many are drawn; else 60.")
-    ] = None,
+    devices: Annotated[int | None, typer.Option(min=1, help="How many are drawn; else 60.")] = None,
+    families: Annotated[str | None, typer.Option(help="Cores drawn, such as rod,joints,stribeck.")] = None,
+    orders: Annotated[int | None, typer.Option(min=1, help="Of `auto`: orders of the logs that are tried.")] = None,
     kind: Annotated[str | None, typer.Option(help="Of `identify`: kind of model, see `fit`; else auto.")] = None,
     drive: Annotated[str | None, typer.Option(help="Of `identify`: auto for an identified drive before it.")] = None,
     data: Annotated[Path | None, typer.Option(help="Of `public`: file or folder to fit. Of `kinds`: devices.")] = None,
@@ -90,11 +90,11 @@ def study(
 ) -> None:
     """Do all jobs of a study and write its report. Ctrl-C keeps what is done."""
     workers = jobs or os.cpu_count() or 1
-    given: dict[str, Any] = {"logs": [str(log) for log in logs or []], "epochs_scale": epochs_scale}
+    given: dict[str, Any] = {"logs": [str(log) for log in logs or []], "epochs_scale": epochs_scale, "drive": drive}
     given |= {"kinds": _names(kinds), "presets": _names(presets), "directions": _names(directions)}
-    given |= {"stages": _names(stages), "rates_hz": _rates(loop_rates), "plants": _names(plants)}
+    given |= {"stages": _names(stages), "rates_hz": _rates(loop_rates), "plants": _names(plants), "orders": orders}
     given |= {"controllers": _names(controllers), "motions": _names(motions), "devices": devices, "kind": kind}
-    given |= {"drive": drive, "diagnose": diagnose, "dataset": dataset, "data": data, "test": test}
+    given |= {"families": _names(families), "diagnose": diagnose, "dataset": dataset, "data": data, "test": test}
     changes = _used(name, given) | {"seed": seed, "quick": quick}
     if name == Name.KINDS:
         _over_devices(changes, folder, workers)

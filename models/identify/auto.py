@@ -23,7 +23,7 @@ from .cross_validation import Hypothesis, gain
 from .estimation_noise import estimation_noise
 from .least_squares import one_blas_thread
 from .parts import whole_delay
-from .runs import Run, check_trial_set, command_range, runs_to_fit
+from .runs import Run, check_trial_set, command_range, ordered, runs_to_fit
 from .uncertainty import ParameterRow, parameter_rows
 
 _REFIT_SHARE = 0.1  # ratio of the durations of the fit at the full rate and the search, for equal rates
@@ -73,7 +73,7 @@ def identify_auto(
 
     All alternatives are fitted by bounded least squares on free runs with exact sensitivities, and compared on held-out
     trials, or on thirds of a single trial. Each trial has a separate offset where that lowers the held-out error: angle
-    sensors are often zeroed anew.
+    sensors are often zeroed anew. The result does not depend on the order of the trials.
 
     Args:
         trials: uniformly sampled at one rate, in one pair of units; ramps, sines, or steps of a few values alone.
@@ -83,7 +83,7 @@ def identify_auto(
     Raises:
         FitError: on unusable trials, or an angle that falls with the command.
     """
-    decades = Decades.of(trials)
+    decades = Decades.of(trials := ordered(trials))
     return _identified(
         decades.trials(trials),
         skip_first_flexure,
@@ -100,21 +100,8 @@ def _identified(
     refit_share = 0.0 if coarse is trials else _REFIT_SHARE * sum(map(len, trials)) / sum(map(len, coarse))
     share, command = 1 / (1 + refit_share), command_range(trials)  # share of the whole duration
     last = search = AutoSearch(coarse, runs, lambda done, rmse: progress(share * done, rmse))
-
-    def numbers_of(device: Choice) -> tuple[ParameterRow, ...]:
-        return tuple(widened_rows(device, search.runs, search.tried))
-
-    def reduced_by(device: Choice, part: str, effect: str, lost: set[str]) -> Choice:
-        return search.reselect_other_parts(search.without_effect(device, part, effect), lost)
-
-    device = search.run()
-    parameters = tuple(widened_rows(device, runs, search.tried))
+    device, parameters = _searched(search, command)
     rows: tuple[PartRow, ...] = ()
-    try:
-        if not search.interrupted:
-            device, parameters = _with_meaning(device, parameters, command, reduced_by, numbers_of)
-    except KeyboardInterrupt:
-        search.interrupted = True
     if coarse is not trials:
         full = runs_to_fit(trials, skip_first_flexure)
         last = AutoSearch(trials, full, lambda done, rmse: progress(share + (1 - share) * done, rmse), search.terms)
@@ -144,6 +131,28 @@ def _identified(
         decades,
         search.interrupted,
     )
+
+
+def _searched(search: AutoSearch, command: Range) -> tuple[Choice, tuple[ParameterRow, ...]]:
+    """Device of the search and its parameter values, without effects that may be the identity."""
+
+    def numbers_of(device: Choice) -> tuple[ParameterRow, ...]:
+        return tuple(widened_rows(device, search.runs, search.tried))
+
+    def reduced_by(device: Choice, part: str, effect: str, lost: set[str]) -> Choice:
+        return search.reselect_other_parts(search.without_effect(device, part, effect), lost)
+
+    device = search.run()
+    parameters = numbers_of(device)
+    try:
+        if not search.interrupted:
+            device, parameters = _with_meaning(device, parameters, command, reduced_by, numbers_of)
+            simpler = search.least_of_simpler(device)
+            if simpler is not device:
+                device, parameters = simpler, numbers_of(simpler)
+    except KeyboardInterrupt:
+        search.interrupted = True
+    return device, parameters
 
 
 def auto_chain(fit: AutoFit) -> Chain:

@@ -15,11 +15,12 @@ from hystmpc.trials.types import Vec
 
 from ..chain import Chain
 from ..effects.effect import Candidate, Scale
+from ..operators.hysteresis import CurvedPlays
 from ..operators.static_curves import Line
 from ..start import search_box
 from .baseline import FreeCoreBaseline
 from .chain_fit import no_result
-from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain
+from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, fit_problem, gain
 from .least_squares import side_by_side
 from .parts import CoreForm, Form, core_forms, dead_time, device_parts, plain_of, split_delay, straight, whole_delay
 from .problem import Problem, TrialTerms
@@ -28,11 +29,15 @@ from .runs import Blocks, Run, angle_range, command_range
 SearchProgress = Callable[[float, float], None]
 """Told the share that is done, and the least error on held-out trials so far [deg]."""
 
+Enough = Callable[[Blocks, Blocks], bool]
+"""Whether held-out errors fall enough for a richer form."""
+
 SEARCH_HZ = 25.0
 """The structure is searched on trials of at most this rate [Hz]: what is found hangs on no rate of the logs."""
 
 _FROM_AFAR = 3  # factor on the evaluations of a fit that starts from a line instead of a neighbour
 _CORE = "core"
+_PLAIN = 13  # parameters of the largest core that is a plain kind
 _NEXT_ROUND = 0.5  # ratio of the durations of successive rounds
 _AT_LAST = 5  # duration of the last fit and the table of parts, in fits
 _A_SAMPLE = 0.75  # samples: a delay of half a sample comes from the hold
@@ -54,7 +59,23 @@ _EVALUATIONS = 12  # free runs of one fit
 def worth(before: Blocks, after: Blocks) -> bool:
     """Whether held-out errors fall enough for a part to be added."""
     fall, error = gain(before, after)
-    sure = min(STANDARD_ERRORS * error, _CLEAR_SHARE * before.energy.size * before.mse)
+    return _exceeds(fall, STANDARD_ERRORS * error, before)
+
+
+def recurs(before: Blocks, after: Blocks) -> bool:
+    """Whether held-out errors fall enough for a richer core: by the standard error of blocks and by that of trials.
+
+    A drive that is seen in one trial is there in all. The form of a core has no such meaning: what serves one trial
+    alone serves no other motion.
+    """
+    fall, error = gain(before, after)
+    each = np.bincount(before.run, before.energy - after.energy)
+    scatter = math.sqrt(each.size * float(np.var(each, ddof=1))) if each.size > 1 else 0.0
+    return _exceeds(fall, max(error, scatter / float(before.samples.sum())), before)
+
+
+def _exceeds(fall: float, error: float, before: Blocks) -> bool:
+    sure = min(error, _CLEAR_SHARE * before.energy.size * before.mse)
     return fall > max(sure, _LEAST_SHARE * before.mse)
 
 
@@ -126,7 +147,8 @@ class AutoSearch:
     richest core can replace a valve or a lag. The simplest of all tried devices is selected.
 
     Source: one-standard-error rule of Breiman, Friedman, Olshen, Stone, Classification and Regression Trees (1984),
-    section 3.4.3; see `worth` for the number of standard errors and the accepted loss of a simpler form.
+    section 3.4.3; see `worth` for the number of standard errors and the accepted loss of a simpler form, and
+    `least_of_simpler` for what the rule leaves open.
     """
 
     def __init__(
@@ -145,6 +167,7 @@ class AutoSearch:
         self._done, self._planned, self._weight = 0.0, 1.0, 1.0  # in starting points of fits
         self.terms, self.interrupted = terms or TrialTerms(), False
         self.tried: list[Choice] = []
+        self._core_starts: dict[str, list[Vec]] = {}  # values of cores to start from
 
     @property
     def offsets(self) -> bool:
@@ -168,11 +191,20 @@ class AutoSearch:
             self._rounds(line, parts)
             chosen = self._simplest_tried(present)
             if chosen.core is self._cores[0] is not present.core:
-                chosen = self._simplest_tried(self._simplest(self._alternatives(_CORE, chosen), chosen))
-            return self._finished(self._with_one_zero(chosen))
+                chosen = self._simplest_tried(self._reselected(_CORE, chosen))
+            chosen = self._with_one_zero(chosen)
+            self._judge_plain_kinds(chosen.size)
+            return self._finished(self.least_of_simpler(chosen))
         except KeyboardInterrupt:
             self.interrupted, self.terms = True, present.hypothesis.problem.terms
             return self._simplest_tried(present)
+
+    def _judge_plain_kinds(self, largest: int) -> None:
+        """Judge each core alone, without drive or curve, up to a number of parameters."""
+        known = {_labels(c.core, c.forms) for c in self.tried if c.hypothesis.problem.terms == self.terms}
+        for core in self._cores:
+            if not core.curve and core.size <= min(largest, _PLAIN) and (core.label,) not in known:
+                self._judged(core, self._none(), self._fitted(core, self._none(), None))
 
     def _rounds(self, present: Choice, names: Sequence[str]) -> Choice:
         # for each part: the device at its last choice, and the tried forms
@@ -186,7 +218,7 @@ class AutoSearch:
                     self.tried += tried  # repeated devices weigh in the intervals as often
                     continue
                 first = len(self.tried)
-                present = self._simplest(self._alternatives(name, present), present)
+                present = self._reselected(name, present)
                 seen[name] = _labels(present.core, present.forms), self.tried[first:]
             if _labels(present.core, present.forms) == before:
                 break
@@ -197,7 +229,29 @@ class AutoSearch:
         alike = [present, *(c for c in self.tried if c.hypothesis.problem.terms == self.terms)]
         best = min(alike, key=lambda choice: choice.judged.mse)
         ordered = sorted(alike, key=lambda choice: (choice.size, choice.blocks, choice.judged.mse))
-        return next(c for c in ordered if c is best or not worth(c.judged, best.judged))
+        simple = next(c for c in ordered if c is best or not worth(c.judged, best.judged))
+        parts = [c for c in ordered if _part_labels(c.forms) == _part_labels(simple.forms)]
+        best = min(parts, key=lambda choice: choice.judged.mse)
+        return next(c for c in parts if c is best or not recurs(c.judged, best.judged))
+
+    def least_of_simpler(self, choice: Choice) -> Choice:
+        """Device, or one that was tried, is no larger, has no part or curve that it lacks, and errs less when held out.
+
+        So no plain kind that is in the search is better than what the search answers. The standard errors of `worth` do
+        not ensure it: they are of differences to the best device, and a simpler device may be surely worse than the
+        best one and still better than one that is perhaps as good.
+        """
+        parts = set(_part_labels(choice.forms))
+        simpler = [
+            other
+            for other in self.tried
+            if other.hypothesis.problem.terms == self.terms
+            and other.size <= choice.size
+            and parts.issuperset(_part_labels(other.forms))
+            and (not other.core.curve or other.core.label == choice.core.label)
+        ]
+        best = min([choice, *simpler], key=lambda other: other.judged.mse)
+        return choice if best is choice else min(choice, self._polished(best), key=lambda other: other.judged.mse)
 
     def _alternatives(self, name: str, present: Choice) -> list[tuple[CoreForm, dict[str, Form]]]:
         if name == _CORE:
@@ -255,7 +309,7 @@ class AutoSearch:
         """Device with a new selection of all parts except those that lost an effect."""
         for name in self._names:
             if name not in lost:
-                choice = self._simplest(self._alternatives(name, choice), choice)
+                choice = self._reselected(name, choice)
         return self._finished(choice)
 
     def part_contributions(self, choice: Choice) -> tuple[Choice, tuple[PartRow, ...]]:
@@ -322,7 +376,14 @@ class AutoSearch:
             errors[self.terms] = min(judged, key=lambda held_out: held_out.mse)
         return zeroed if worth(errors[plain], errors[zeroed]) else plain
 
-    def _simplest(self, made: Sequence[tuple[CoreForm, dict[str, Form]]], present: Choice) -> Choice:
+    def _reselected(self, name: str, present: Choice) -> Choice:
+        """Device with a new selection of one part."""
+        enough = recurs if name == _CORE else worth
+        return self._simplest(self._alternatives(name, present), present, enough)
+
+    def _simplest(
+        self, made: Sequence[tuple[CoreForm, dict[str, Form]]], present: Choice, enough: Enough = worth
+    ) -> Choice:
         def fitted(alternative: tuple[CoreForm, dict[str, Form]]) -> tuple[CoreForm, dict[str, Form], Hypothesis]:
             return (*alternative, self._fitted(*alternative, present))
 
@@ -341,10 +402,10 @@ class AutoSearch:
                 break
             if id(hypothesis) not in judged:
                 # Training errors are too small: a part that they do not justify, held-out trials do not either.
-                if worth(self._validation(core).fitted_errors(hypothesis), best.judged):
+                if enough(self._validation(core).fitted_errors(hypothesis), best.judged):
                     continue
                 judged[id(hypothesis)] = self._choice(core, forms, hypothesis)
-            if not worth(judged[id(hypothesis)].judged, best.judged):
+            if not enough(judged[id(hypothesis)].judged, best.judged):
                 selected = judged[id(hypothesis)]
                 break
         self.tried += judged.values()
@@ -364,10 +425,12 @@ class AutoSearch:
         if isinstance(core.starts[0].core, Line):
             chains = (self._line_behind([c for c in effects if c not in core.curve], values[0]),)
             validation = replace(validation, baseline=FreeCoreBaseline(chains[0], self._command))
-        longer = replace(validation, evaluations=_FROM_AFAR * _EVALUATIONS)
-        cores = [np.array(chain.core.values) for chain in chains]
-        fits = [longer.with_causes(effects, terms, z, values[:1]) for z in cores]
-        return min(fits, key=lambda fit: fit.mse)
+        cores = self._core_starts.get(core.label, [np.array(chain.core.values) for chain in chains])
+        best = min((validation.with_causes(effects, terms, z, values[:1]) for z in cores), key=lambda fit: fit.mse)
+        made = fit_problem(best.problem, self.runs, best.q, (_FROM_AFAR - 1) * _EVALUATIONS, 1e-3)
+        if isinstance(core.starts[0].core, CurvedPlays):  # linear in its slopes: no start leads elsewhere
+            self._core_starts[core.label] = [made.problem.retuned(made.q)]
+        return made
 
     def _line_behind(self, effects: Sequence[Candidate], values: Sequence[Sequence[float]]) -> Chain:
         """Regression line over the output of the drive: behind a slow drive it is far steeper than over the command."""
@@ -430,8 +493,12 @@ def _names(form: Form) -> tuple[str, ...]:
     return tuple(c.label for c in form if c.free)
 
 
+def _part_labels(forms: Mapping[str, Form]) -> tuple[str, ...]:
+    return tuple(label for form in forms.values() for label in _names(form))
+
+
 def _labels(core: CoreForm, forms: Mapping[str, Form]) -> tuple[str, ...]:
-    return (core.label, *(label for form in forms.values() for label in _names(form)))
+    return (core.label, *_part_labels(forms))
 
 
 def _rmse(choice: Choice | None) -> float:

@@ -260,11 +260,20 @@ def _plays(slope: float, offset: float, command: Vec, known: Mapping[str, Candid
     def curved(pieces: int, turn: int) -> CoreForm:
         slopes = (slope / (_PLAYS + 1),) * ((pieces + 1) * (_PLAYS + 1))
         core = CurvedPlays(slopes, bottom, radii, float(command.min()), float(command.max()), pieces, turn)
-        label = f"curved_plays, {_PLAYS}{' gradual' if turn else ''} plays of {pieces} pieces"
+        many = f"{pieces} piece{'s' if pieces > 1 else ''}"
+        label = f"curved_plays, {_PLAYS}{' gradual' if turn else ''} plays of {many}"
         return CoreForm(label, (Chain(core),), len(slopes) + 1)
 
     gradual = curved(_MANY, 1)
-    return [*made, curved(_FEW, 0), gradual, _bent(gradual, known[_SLACK]), curved(_MANY, 0)]
+    return [
+        *made,
+        curved(1, 0),
+        curved(1, 1),
+        curved(_FEW, 0),
+        gradual,
+        _bent(gradual, known[_SLACK]),
+        curved(_MANY, 0),
+    ]
 
 
 LONGEST_SHARE = 0.25

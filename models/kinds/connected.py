@@ -18,7 +18,7 @@ from ..evaluate import free_run, started
 from ..identify.auto import AutoFit
 from ..identify.auto_search import worth
 from ..identify.cross_validation import CrossValidation
-from ..identify.runs import Blocks, blocks_of, facts_of, runs_to_fit
+from ..identify.runs import Blocks, blocks_of, facts_of, ordered, runs_to_fit
 from ..identify.simulators import simulator_of
 from ..inverse.drive import Drive
 from ..model import FitProgress
@@ -110,7 +110,7 @@ class ResidualKind(ModelKind):
         self.check(trials, request)
         if len(trials) < 2:  # one for training, one for validation
             raise FitError(f"{self.name}: got {len(trials)} trial, expected 2 or more: the network is judged on one")
-        tell = progress or _silent
+        tell, trials = progress or _silent, ordered(trials)  # the folds of `auto` count so
         fit = self._auto.fit(trials, request, tell)
         if fit.interrupted or fit.parts is None:
             return fit

@@ -168,7 +168,7 @@ def identified(
         raise
     if identification.interrupted or request.steps is not None:
         return identification
-    model, line = _errors(_opened(identification, kind.name), trials, request.skip_first_flexure)
+    model, line = _errors(opened(identification, kind.name), trials, request.skip_first_flexure)
     if model > _SLACK * line + _ROUNDING * _span(trials):
         unit = trials[0].units.angle
         raise FitError(
@@ -178,7 +178,8 @@ def identified(
     return identification
 
 
-def _opened(identification: Identified, name: str) -> LoadedModel:
+def opened(identification: Identified, name: str) -> LoadedModel:
+    """Model of an identification, without a file."""
     if identification.simulator is not None:
         from ..simulator import ChainModel
 

@@ -159,15 +159,18 @@ def test_mounting_a_rod_alters_its_gain_friction_and_offset_and_nothing_else() -
     assert (off.friction, off.drag_n) == (pytest.approx(0.048), pytest.approx(0.96))
 
 
-def test_capstan_tension_stays_within_the_friction_cone() -> None:
+@pytest.mark.parametrize("dry", [0.0, 0.4])
+def test_capstan_tension_stays_within_the_friction_cone(dry: float) -> None:
     rest, wrap, nodes = 8.0, 0.3, 16
     tension, out = np.full(nodes, rest), np.empty(3000)
     weights = np.full(nodes, 1 / nodes / 2.0)
     shares = weights + 0.06 / nodes
     x = 2.5 * (1 - np.cos(np.linspace(0, 20, 3000)))
-    cores.capstan(x, np.full(x.size, wrap), tension, shares, weights, rest, out)
-    log = np.log(tension / tension[0])
-    assert np.all(np.abs(log) <= wrap * np.arange(nodes) / (nodes - 1) + 1e-6)
+    drag = np.concatenate([[0.0], np.full(nodes - 1, dry)])
+    cores.capstan(x, np.full(x.size, wrap), 0.0, tension, (shares, weights, drag), rest, out)
+    cone = np.exp(wrap * np.arange(nodes) / (nodes - 1))
+    assert np.all(tension <= tension[0] * cone + drag + 1e-6)
+    assert np.all(tension >= tension[0] / cone - drag - 1e-6)
     assert shares @ (tension - rest) == pytest.approx(x[-1], abs=1e-6)
 
 

@@ -15,7 +15,7 @@ from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.sim.study import run_closed_loop
 from hystmpc.trials.errors import FitError
 from hystmpc_lab.devices import kernels
-from hystmpc_lab.devices.drawn import FAMILIES, DrawnDevice, DrawnPlant, draw_devices
+from hystmpc_lab.devices.drawn import FAMILIES, OUTSIDE, DrawnDevice, DrawnPlant, draw_devices
 from hystmpc_lab.devices.exact import ExactInverse, ExactPredictor, exact_controller
 from hystmpc_lab.devices.kernels import PidNumbers
 from hystmpc_lab.devices.motions import fresh_motions, recordings
@@ -29,8 +29,9 @@ from hystmpc_lab.identify.settings import (
 )
 
 DEVICES = draw_devices(12, seed=3)
-QUIET = [replace(device, noise_deg=0.0) for device in draw_devices(4, seed=3, quick=True)]
-of_family = pytest.mark.parametrize("device", QUIET, ids=FAMILIES)
+DRAWN = (*draw_devices(4, seed=3, quick=True), *draw_devices(2, 3, True, OUTSIDE))
+QUIET = [replace(device, noise_deg=0.0) for device in DRAWN]
+of_family = pytest.mark.parametrize("device", QUIET, ids=[*FAMILIES, *OUTSIDE])
 
 
 def sample_by_sample(device: DrawnDevice, commands: np.ndarray) -> np.ndarray:

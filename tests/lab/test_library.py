@@ -11,13 +11,13 @@ from hystmpc.core.build import levels
 from hystmpc.core.library import compiled, engine
 from hystmpc.trials.types import Vec
 from hystmpc_lab.devices import drawn, kernels, rod_solver
-from hystmpc_lab.devices.drawn import DrawnDevice, DrawnPlant, draw_devices
+from hystmpc_lab.devices.drawn import OUTSIDE, DrawnDevice, DrawnPlant, draw_devices
 from hystmpc_lab.devices.rod import RodCatheter, RodParameters
 from hystmpc_lab.library import FOLDER
 
 BEST = int(engine().level())
 RUNNABLE = [level for level in levels() if level == "plain" or int(level[1:]) <= BEST]
-DEVICES = draw_devices(4, 3, quick=True)
+DEVICES = (*draw_devices(4, 3, quick=True), *draw_devices(2, 3, True, OUTSIDE))
 FAMILIES = pytest.mark.parametrize("device", DEVICES, ids=lambda device: device.family)
 
 
