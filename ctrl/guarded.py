@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from threading import local
 from time import perf_counter
-from typing import Any, final
+from typing import Any, cast, final
 
 import numpy as np
 
@@ -345,7 +345,7 @@ class GuardedController(HoldsAddresses):
 def usable_reference(reference: object, horizon: int, unusable: Vec) -> tuple[Vec, str]:
     """Return reference angles [deg] for the engine, `unusable` for too few; and what may be wrong with them."""
     plain = type(reference) is np.ndarray and reference.dtype is _DOUBLE
-    wanted: Vec = reference if plain else numbers_of(reference)
+    wanted = cast(Vec, reference) if plain else numbers_of(reference)
     if wanted.ndim != 1 or wanted.shape[0] < horizon:
         return unusable, f"reference: got shape {wanted.shape}, expected ({horizon},)"
     return np.ascontiguousarray(wanted), _BEYOND
