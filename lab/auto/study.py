@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -22,9 +22,9 @@ from hystmpc.trials.trial import Trial
 from ..devices.drawn import DrawnDevice, DrawnPlant, DrawnSettings, drawn_devices
 from ..devices.motions import recordings
 from ..identify.job import found_parts, identified_as
-from ..identify.settings import PARTS, IdentifyJob, Interval, covered, invented
+from ..identify.settings import PARTS, IdentifyJob, IdentifyResult, covered, invented
 from ..page import Bar, Figures, StudyTable, bars_table, cell, figures_table, judged_by, set_up
-from ..study import Figure, Outcome, Result, Study
+from ..study import Outcome, Study
 
 _ABOUT = """Simulated devices drawn at random, each identified from six logs of three minutes together by `fit auto` and
 by single kinds of model. Errors are RMSE over six fresh logs of other motions, the noise of the sensor included. The
@@ -53,21 +53,15 @@ class AutoSettings(DrawnSettings):
 
 
 @dataclass(frozen=True)
-class AutoResult(Result):
+class AutoResult(IdentifyResult):
     """Outcome of one device.
 
     Attributes:
-        truth, found, facts: as of `IdentifyResult`.
         structures: of `auto`, for each order of the logs.
         figures: `error.KIND` and, for each order, `error.auto` and `error.auto.K` [deg]; seconds by kind.
     """
 
-    job: IdentifyJob
-    truth: Mapping[str, float] = field(default_factory=dict)
-    found: Mapping[str, Interval] = field(default_factory=dict)
-    facts: Mapping[str, str | float] = field(default_factory=dict)
     structures: tuple[str, ...] = ()
-    figures: Mapping[str, Figure] = field(default_factory=dict)
 
 
 AutoOutcome = Outcome[AutoSettings, AutoResult]

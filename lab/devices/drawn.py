@@ -25,8 +25,9 @@ from .muscle import STATES
 from .rod import RodCatheter
 from .rod_solver import packed as rod_packed
 
-FAMILIES = ("rod", "capstan", "dahl", "muscle")
-OUTSIDE = ("joints", "stribeck")
+Family = Literal["rod", "capstan", "dahl", "muscle", "joints", "stribeck"]
+FAMILIES: tuple[Family, ...] = ("rod", "capstan", "dahl", "muscle")
+OUTSIDE: tuple[Family, ...] = ("joints", "stribeck")
 """Families whose physics no operator of `fit auto` has; drawn where they are asked for."""
 
 RATES_HZ = (25.0, 50.0, 250.0)
@@ -152,7 +153,7 @@ class DrawnSettings(StudySettings):
 
     devices: Annotated[int, Field(ge=1, le=1000)] = 60
     rates_hz: tuple[float, ...] = ()
-    families: tuple[Literal["rod", "capstan", "dahl", "muscle", "joints", "stribeck"], ...] = FAMILIES
+    families: tuple[Family, ...] = FAMILIES
     evaluations: Annotated[int, Field(ge=10)] = 300
 
     def chosen(self, drawn: Sequence[DrawnDevice]) -> list[DrawnDevice]:
