@@ -262,7 +262,7 @@ def ratios_figure(families: Mapping[str, Sequence[Sequence[float]]], subjects: S
         subjects: label and colour of each.
     """
     with new_figure(7.0, 3.0) as figure:
-        panels = figure.subplots(1, len(families), sharey=True)
+        panels = figure.subplots(1, len(families), sharey=True, squeeze=False)[0]
         for axes, (family, devices) in zip(panels, families.items(), strict=True):
             ratios = np.array(sorted(devices, key=lambda row: row[0])).reshape(-1, len(subjects))
             for y, (label, colour), mark in zip(ratios.T, subjects, _MARKS, strict=False):

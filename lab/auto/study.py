@@ -54,10 +54,11 @@ class AutoSettings(DrawnSettings):
 
 @dataclass(frozen=True)
 class AutoResult(IdentifyResult):
-    """Outcome of one device; its figures are `error.KIND` and, for each order, `error.auto` and `error.auto.K` [deg].
+    """Outcome of one device.
 
     Attributes:
         structures: of `auto`, for each order of the logs.
+        figures: `error.KIND` and, for each order, `error.auto` and `error.auto.K` [deg]; seconds by kind.
     """
 
     structures: tuple[str, ...] = ()

@@ -148,7 +148,7 @@ def test_one_axis_is_asked_for_where_the_engine_reads_one() -> None:
     chain, p = two_axes()
     with pytest.raises(ValueError, match="got 3 inputs and 2 outputs, expected one of each"):
         PreparedChain(chain, p, 0.01)
-    with pytest.raises(ValueError, match="got 2 inputs and 2 outputs, expected one of each"):
+    with pytest.raises(ValueError, match="got 3 inputs and 2 outputs, expected one of each"):
         chain.settle(np.zeros((chain.kept, 1)), 0, np.zeros(1), np.zeros(1), p, np.zeros((p.size, 0)))
     with pytest.raises(ValueError, match="got 3 parameters, expected"):
         PreparedChain(CODE[0], np.zeros(3), 0.01)
