@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hystmpc.models.chain import Chain
 from hystmpc.models.effects.effect import Scale
 from hystmpc.models.identify.baseline import FreeCoreBaseline
 from hystmpc.models.identify.cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain
@@ -108,12 +109,17 @@ def reidentified_share(
         forms = core_forms(prepared.decades.trials(prepared.checked.trials), Scale.of(validation.runs))
     except FitError:
         return 0.0
-    curved = (chain for form in forms for chain in form.starts if isinstance(chain.core, CurvedPlays))
+    curved = (chain for form in forms for chain in form.starts if _of_pieces(chain))
     if (chain := next(curved, None)) is None:
         return 0.0
     anew = replace(validation, baseline=FreeCoreBaseline(chain, prepared.baseline.command, free_widths=True))
     fall = retuned.mse - anew.judge(anew.retuned()).mse
     return float(np.clip(fall / max(retuned.mse - floor_mse, 1e-12), 0.0, 1.0))
+
+
+def _of_pieces(chain: Chain) -> bool:
+    """Whether the core is a sum of plays of several pieces: of one each it is no more than a given core can be."""
+    return isinstance(chain.core, CurvedPlays) and chain.core.pieces > 1
 
 
 def moved_numbers(

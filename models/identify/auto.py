@@ -83,6 +83,7 @@ def identify_auto(
     Raises:
         FitError: on unusable trials, or an angle that falls with the command.
     """
+    check_trial_set(trials)
     decades = Decades.of(trials := ordered(trials))
     return _identified(
         decades.trials(trials),

@@ -92,7 +92,7 @@ def test_controllers_are_told_of_the_sensor_where_they_do_not_say_something_else
             "got continuous, expected none",
         ),
         (CAMERA, {"kind": "inverse", "estimator": {"sensor": "continuous"}}, "expected intermittent or none"),
-        (CAMERA, {"kind": "linearised_mpc", "adaptation": {}}, "expected continuous"),
+        ({"kind": "none"}, {"kind": "linearised_mpc", "adaptation": {}}, "expected a sensor"),
         ({**CAMERA, "rate_hz": 500}, {"kind": "pid"}, "less than or equal to 100"),
         ({**CAMERA, "latency_s": 3}, {"kind": "pid"}, "less than or equal to 2"),
         ({**CAMERA, "latency": 3}, {"kind": "pid"}, "did you mean 'latency_s'"),
