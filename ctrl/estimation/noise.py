@@ -125,13 +125,6 @@ class NoiseBank:
         """Logarithms of the filters' sensor variances [log deg^2] (M,)."""
         return np.asarray(self._logs[0])
 
-    def estimated_noise(self, bank: Vec) -> NoiseModel:
-        """Estimated sigmas: geometric means over the filters."""
-        sensor, drift, motion = np.exp(0.5 * (self._logs @ bank[2])).tolist()
-        return NoiseModel(
-            sensor_sigma_deg=sensor, drift_sigma_deg_per_sqrt_s=drift, motion_sigma_deg_per_sqrt_unit=motion
-        )
-
     def ahead(self, bank: Vec, travels: Vec) -> Vec:
         """Growth of the disturbance's variance to the ends of the coming samples without a measurement (H,) [deg^2].
 
