@@ -167,7 +167,6 @@ HYSTMPC_LOCAL int hystmpc_observer_init(const hystmpc_sensing *s, const hystmpc_
         x = next;
     }
     observer_start(s, &n, &o->now, x, angle, y, u);
-    if (s->sensor == HYSTMPC_FRAMES) hystmpc_frames_init(o, y);
     if (observer_learns(s, m)) {
         observer_start(s, &n, &o->alone, x, angle, y, u);
         memset(o->learning.filters, 0, sizeof *o->learning.filters);
@@ -176,6 +175,7 @@ HYSTMPC_LOCAL int hystmpc_observer_init(const hystmpc_sensing *s, const hystmpc_
             memcpy(o->learning.behind, o->learning.past, sizeof(real) * (size_t)hystmpc_numbers_past(m->learner));
         observer_put_together(m, &n, o);
     }
+    if (s->sensor == HYSTMPC_FRAMES) hystmpc_frames_init(o, y);
     return HYSTMPC_STARTED;
 }
 

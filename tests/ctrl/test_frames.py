@@ -24,6 +24,7 @@ from .test_tip_controller import controller_for, plant_for
 
 FRAMES = {"estimator": {"sensor": "intermittent"}}
 COUNT = 24
+COMMANDS = PLAY.u_rest + 1.5 * (1.0 - np.cos(np.linspace(0.0, 5.0, COUNT)))
 
 
 def observer(**changes: Any) -> Watcher:
@@ -32,9 +33,8 @@ def observer(**changes: Any) -> Watcher:
 
 def led(found: Watcher, angles: dict[int, float], late: dict[int, int]) -> Seen:
     """After COUNT samples of one motion; the angle of instant k is shown `late[k]` samples afterwards."""
-    commands = PLAY.u_rest + 1.5 * (1.0 - np.cos(np.linspace(0.0, 5.0, COUNT)))
     estimate = found.init(PLAY.y_rest, PLAY.u_rest)
-    for now, u in enumerate(commands.tolist()):
+    for now, u in enumerate(COMMANDS.tolist()):
         for taken, wait in late.items():
             if wait and taken + wait == now:
                 estimate = found.correct_late(estimate, angles[taken], wait)
@@ -202,6 +202,24 @@ def taught() -> Watcher:
     """Observer whose frames teach when they are ten samples old."""
     estimator = EstimatorSettings.parse({"sensor": "intermittent", "oldest_frame_s": 0.4}, "estimator")
     return Watcher(LearnedPredictor(PLAY.predictor, AdaptationSettings()), estimator)
+
+
+def test_frames_of_every_instant_teach_what_a_continuous_sensor_does() -> None:
+    """Ten samples later; the instant of the start has been measured twice."""
+    learner = LearnedPredictor(PLAY.predictor, AdaptationSettings())
+    estimator = {"sensor": "intermittent", "oldest_frame_s": 0.4, "sensor_sigma_deg": 0.1}
+    angle, x = PLAY.predictor.advance(PLAY.predictor.initial(PLAY.y_rest, PLAY.u_rest), PLAY.u_rest)
+    bank = learner.filters(0)
+    state = bank.correct(bank.init(angle, PLAY.u_rest, PLAY.y_rest), PLAY.y_rest, angle, 0.0)
+    angles = dict[int, float]()
+    for k, u in enumerate(COMMANDS[: COUNT - 10].tolist()):
+        angles[k] = angle + math.sin(k)
+        state = bank.correct(state, angles[k], angle, 0.0)
+        angle, x = PLAY.predictor.advance(x, u)
+        state = bank.advance(state, u)
+    watcher = Watcher(learner, EstimatorSettings.parse(estimator, "estimator"))
+    late = led(watcher, angles, dict.fromkeys(angles, 0))
+    np.testing.assert_allclose(late.taught.z, state.z, rtol=1e-9, atol=1e-12)
 
 
 def test_an_outlier_teaches_nothing() -> None:
