@@ -84,12 +84,13 @@ def test_no_simpler_device_of_the_search_errs_less_than_the_answer() -> None:
     assert search.least_of_simpler(bad).judged.mse <= few.judged.mse * (1 + 1e-6)
 
 
-def test_a_larger_device_or_a_part_that_was_refused_does_not_come_back() -> None:
+def test_a_larger_device_or_a_part_that_was_refused_does_not_come_back(monkeypatch: pytest.MonkeyPatch) -> None:
     search, made = searched("backlash", "pi, 3 plays")
     backlash, plays = made["backlash"], made["pi, 3 plays"]
     assert plays.judged.mse < backlash.judged.mse
     assert search.least_of_simpler(backlash) is backlash
     lag = next(form for form in search._parts[0].forms if form)
+    monkeypatch.setattr(search, "_polished", lambda other: other)  # its error is the one that is given
     search.tried = [replace(worse(backlash, 1e-3), forms={**backlash.forms, "drive": lag})]
     assert search.least_of_simpler(plays) is plays
 
