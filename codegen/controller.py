@@ -137,10 +137,10 @@ def export_controller(
     about = f"/* {words}\n * Written by hystmpc {version('hystmpc')}; any change is lost at the next export. */\n"
     networks = any(isinstance(part, NetworkRoute) for part in _parts(problem))
     text = about + _source(problem, predictor.rest_part, single, lanes if networks else 1)
-    remembered, whole = _bytes(problem, predictor, text, _header(problem, single, 1, 2))
+    remembered, whole = _bytes(problem, predictor, text)
     return ControllerExport(
         about + _header(problem, single, remembered, whole),
-        text,
+        f"{text}\n{_template('front.c')}",
         whole,
         remembered,
         tuple(name for name in (*EXACT, *INEXACT) if name in _functions(problem)),
@@ -181,7 +181,7 @@ def _samples(problem: Struct) -> int:
 
 
 def _source(problem: Struct, rest: Struct | None, single: bool, lanes: int) -> str:
-    """Text of hystmpc.c: the engine, the numbers, the functions of the header."""
+    """Text of hystmpc.c before the functions of its header: the engine and the numbers."""
     numbers = Numbers(single, lanes)
     model = problem.fields.get("model")
     at_rest = f"&{numbers.put(rest)}" if model is not None and rest is not None else "NULL"
@@ -197,7 +197,6 @@ def _source(problem: Struct, rest: Struct | None, single: bool, lanes: int) -> s
             LINE,
             numbers.text,
             f"static const hystmpc_rest_rule *const exported_rest = {at_rest};\n",
-            _template("front.c"),
         ]
     )
 
@@ -241,9 +240,9 @@ def _about(begin: str, end: str, text: str) -> str:
     return text[text.rindex("/*", 0, start) : stop]
 
 
-def _bytes(problem: Struct, predictor: Predictor, source: str, header: str) -> tuple[int, int]:
+def _bytes(problem: Struct, predictor: Predictor, source: str) -> tuple[int, int]:
     """Bytes that are remembered, and of the whole struct: as a compiler says, else as many as are enough."""
-    if known := _measured(source, header):
+    if known := _measured(source):
         remembered, room = known
     else:
         core, address = engine("plain"), problem.address
@@ -256,14 +255,11 @@ def _bytes(problem: Struct, predictor: Predictor, source: str, header: str) -> t
     return remembered, remembered + -(-room // 8) * 8
 
 
-_MEASURE = """#include "hystmpc.c"
-#include <stdio.h>
-int main(void) { printf("%ld %ld", exported_memory(), exported_room()); return 0; }
-"""
+def _measured(source: str) -> tuple[int, int] | None:
+    """Bytes of memory and of room in this precision; None without a compiler.
 
-
-def _measured(source: str, header: str) -> tuple[int, int] | None:
-    """Bytes of memory and of room in this precision; None without a compiler."""
+    Without the functions of the header a compiler that optimises leaves out what only they would call.
+    """
     try:
         command = build.compiler()
     except RuntimeError:
@@ -271,10 +267,9 @@ def _measured(source: str, header: str) -> tuple[int, int] | None:
     if command is None:
         return None
     with tempfile.TemporaryDirectory(prefix="hystmpc-c-") as folder:
-        for name, text in {"hystmpc.h": header, "hystmpc.c": source, "measure.c": _MEASURE}.items():
-            (Path(folder) / name).write_text(text, encoding="utf-8")
+        (Path(folder) / "measure.c").write_text(f"{source}\n{_template('measure.c')}", encoding="utf-8")
         try:
-            build.run(command, ["-std=c99", "-O0", "-o", "measure", "measure.c", "-lm"], Path(folder))
+            build.run(command, ["-std=c99", "-O1", "-o", "measure", "measure.c", "-lm"], Path(folder))
             done = subprocess.run([Path(folder) / "measure"], capture_output=True, timeout=_LONGEST_S, check=True)
         except (RuntimeError, OSError, subprocess.SubprocessError):
             return None

@@ -3,16 +3,6 @@
 
 unsigned long hystmpc_memory_bytes(void) { return (unsigned long)sizeof(hystmpc_controller); }
 
-/* Bytes that are remembered, and that a call takes at most. */
-static long exported_memory(void) { return hystmpc_bytes_of_memory(&exported_problem); }
-
-static long exported_room(void) {
-    const hystmpc_model *m = exported_problem.model;
-    const long states = m ? room_for(m->predictor->states) + ROOM_LINE : 0;
-    const long at_rest = m ? hystmpc_at_rest_bytes(exported_rest, m->predictor) : 0;
-    return states + longer(at_rest, hystmpc_room_bytes(&exported_problem));
-}
-
 static char *memory_of(hystmpc_controller *c) { return (char *)c->memory.bytes; }
 static char *room_of(hystmpc_controller *c) { return (char *)c->memory.bytes + HYSTMPC_REMEMBERED; }
 

@@ -27,21 +27,27 @@ LIMITED = tip("builtin:pi", **PLAIN, limits={"lower": LOWER, "upper": UPPER, "ra
 ONE_FILTER = {f"{name}_sigma_deg{per}": 0.01 for name, per in (("sensor", ""), ("drift", "_per_sqrt_s"))}
 ONE_FILTER["motion_sigma_deg_per_sqrt_unit"] = 0.01
 FUZZED: Mapping[str, tuple[dict[str, Any], bool]] = {
-    "lag-delay-and-soft-limits": (
+    "frames-lag-delay-and-soft-limits": (
         tip(
             "builtin:pi",
             0.08,
             **PLAIN,
-            estimator={"delay_samples": 2},
+            estimator={"sensor": "intermittent", "oldest_frame_s": 0.4, "delay_samples": 2},
             ladder={"safe_command": 0.0},
             weights={"angle_lower_deg": 40, "angle_upper_deg": 70},
         ),
         False,
     ),
     "no-sensor": (CASES["no-sensor"][0], False),
-    "single-learns": (CASES["feedback-takes-over"][0], True),  # the part is one text in either precision
-    "frames": (tip("builtin:pi", **PLAIN, estimator={"sensor": "intermittent", "oldest_frame_s": 0.4}), False),
-    "random-plans": (tip_of("builtin:pi", "sampling_mpc", **PLAIN, samples=40), True),
+    "single-learns": (  # every part is one text in either precision
+        tip(
+            "builtin:backlash",
+            supervisor={"inverse_pid_above": 0.3, "pid_above": 0.45},
+            estimator={"delay_samples": 2},
+        ),
+        True,
+    ),
+    "random-plans": (tip_of("builtin:pi", "sampling_mpc", **PLAIN, samples=20), True),
     "single-inverse-and-pid": (tip_of("builtin:auto", "inverse_pid"), True),
     "single-one-filter": (tip("builtin:pi", **PLAIN, estimator=ONE_FILTER), True),
 }

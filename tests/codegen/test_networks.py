@@ -10,7 +10,7 @@ import pytest
 from hystmpc.codegen import export_controller
 from hystmpc.trials.errors import ExportError
 
-from .compiled import FAST, STRICT, Library, compilers, library, run_sanitized, tried
+from .compiled import FAST, NETWORK, STRICT, Library, compilers, library, run_sanitized, tried
 from .loops import compare
 from .networks import Way, connected_network, gated_network, small_network
 from .test_commands import PLAIN, SAME, tip
@@ -46,22 +46,24 @@ def test_commands_of_a_gru_are_those_of_python_with_every_part(tmp_path: Path) -
 def test_without_fused_instructions_commands_stay_close(kind: str, tmp_path: Path) -> None:
     """The products are then rounded by way of double."""
     settings = tip(small_network(kind, 20, 1, tmp_path), **PLAIN)
-    found = compare(settings, library(settings, tmp_path, options=("-O1",)), 200, seed=2)
+    found = compare(settings, library(settings, tmp_path, options=("-O1",)), 100, seed=2)
     assert found.greatest <= 1e-4
 
 
 @pytest.mark.slow
 def test_a_network_runs_clean_under_sanitizers(tmp_path: Path) -> None:
     """An LSTM; a GRU runs under them where any function is called in any order, see test_fuzz."""
-    run_sanitized(export_controller(tip(small_network("lstm", 5, 1, tmp_path), 0.08)), tmp_path, 750)
+    run_sanitized(export_controller(tip(small_network("lstm", 5, 1, tmp_path), 0.08)), tmp_path, 330)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "single"), [("lstm", False), ("gru", True)])
 def test_every_compiler_takes_a_network_without_a_warning(kind: str, single: bool, tmp_path: Path) -> None:
+    """One of them also by what the first optimiser finds: both have the same functions, see test_source for single."""
     export_controller(tip(small_network(kind, 20, 2, tmp_path)), single=single).write(tmp_path)
-    said = {command[-1]: tried([*command, *STRICT, *FAST, "-c", "hystmpc.c"], tmp_path) for command in compilers()}
-    assert {command: text for command, text in said.items() if text} == {}
+    for k, command in enumerate(compilers()):
+        how = NETWORK if k or single else FAST
+        assert tried([*command, *STRICT, *how, "-c", "hystmpc.c"], tmp_path) == ""
 
 
 def test_the_weights_take_the_room_that_they_need(tmp_path: Path) -> None:

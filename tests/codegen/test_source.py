@@ -32,16 +32,17 @@ def test_it_compiles_without_a_warning(case: str, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_every_compiler_takes_it_without_a_warning(tmp_path: Path) -> None:
-    for single in (False, True):
-        export_controller(CASES["lag-of-the-settings"][0], single=single, folder=EXAMPLES).write(tmp_path / str(single))
-        for command in compilers():
-            assert tried([*command, *STRICT, "-O2", "-c", "hystmpc.c"], tmp_path / str(single)) == ""
+    """The first one also by what its optimiser finds; of the others none warns of that, see test_networks for double."""
+    export_controller(CASES["lag-of-the-settings"][0], single=True, folder=EXAMPLES).write(tmp_path)
+    for k, command in enumerate(compilers()):
+        how = ("-fsyntax-only", "-Wno-unused-command-line-argument") if k else ("-O2", "-c")
+        assert tried([*command, *STRICT, *how, "hystmpc.c"], tmp_path) == ""
 
 
 @pytest.mark.slow
 def test_it_runs_clean_under_sanitizers(tmp_path: Path) -> None:
     """Moves in blocks; all other parts run under them where any function is called in any order, see test_fuzz."""
-    run_sanitized(export_controller(CASES["blocks"][0], folder=EXAMPLES), tmp_path, 750)
+    run_sanitized(export_controller(CASES["blocks"][0], folder=EXAMPLES), tmp_path, 330)
 
 
 def test_nothing_is_taken_from_the_heap() -> None:
