@@ -15,7 +15,7 @@ from .loops import compare
 from .networks import Way, connected_network, gated_network, small_network
 from .test_commands import PLAIN, SAME, tip
 
-# One, two and three layers, of fewer units than a vector, of more, of a whole vector; two of 64 with every part below.
+# One, two and three layers, of fewer units than a vector, of more, of a whole vector; two of 32 with every part below.
 SLOW_SIZES = [("gru", 5, 1), ("lstm", 33, 2), ("gru", 16, 3)]
 EVERY_KIND = pytest.mark.parametrize("kind", ["lstm", "gru"])
 
@@ -35,7 +35,7 @@ def test_commands_are_those_of_python_for_any_size(size: tuple[str, int, int], t
 
 @pytest.mark.slow
 def test_commands_of_a_gru_are_those_of_python_with_every_part(tmp_path: Path) -> None:
-    settings = tip(small_network("gru", 64, 2, tmp_path), 0.08)
+    settings = tip(small_network("gru", 32, 2, tmp_path), 0.08)
     found = compare(settings, library(settings, tmp_path, options=FAST), 750, 0.08)
     assert found.greatest <= SAME
     assert found.same_sources

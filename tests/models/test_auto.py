@@ -67,6 +67,8 @@ def numbers(fit: AutoFit) -> dict[str, tuple[float, float, float]]:
     return {f"{r.owner}.{r.name}": (r.value, *r.ci90) for r in fit.parameters}
 
 
+ZEROED_DEG = 2.0
+"""Between the trials and the device, up and down in turn, where the sensor was zeroed anew."""
 PAIR, THREE = (0, 3), (0, 2, 3)
 """A point-to-point motion and the faster sine; the slow sine, too, where two parts of a drive have to be told apart."""
 
@@ -77,9 +79,13 @@ def trials_of(before: tuple[Operator, ...], motion: tuple[int, ...], offsets_deg
     return recorded(*before, commands=[made[k] for k in motion], offsets_deg=offsets_deg)
 
 
-@cache
 def identified(before: tuple[Operator, ...], motion: tuple[int, ...], offsets_deg: float = 0.0) -> Identified:
     """The kind `auto` on few trials of a device; each device is identified once for all tests that look at it."""
+    return _identified(before, motion, offsets_deg)
+
+
+@cache
+def _identified(before: tuple[Operator, ...], motion: tuple[int, ...], offsets_deg: float) -> Identified:
     name = f"auto {before} {motion} {offsets_deg}"
     return shared(name, lambda: kind_named("auto").fit(trials_of(before, motion, offsets_deg), FitRequest()))
 
@@ -92,20 +98,22 @@ def parts_of(found: Identified) -> AutoFit:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("before", "truth", "motion"),
+    ("before", "truth", "motion", "offsets_deg"),
     [
-        ((), {}, PAIR),
-        ((Delay(0.09, 8),), {"delay.delay_s": 0.09}, PAIR),
-        ((Lag(0.15),), {"lag.tau_s": 0.15}, PAIR),
-        ((Delay(0.09, 8), Lag(0.15)), {"delay.delay_s": 0.09, "lag.tau_s": 0.15}, THREE),
-        ((Lag(0.15), Creep((-0.15,), (5.0,))), {"lag.tau_s": 0.15, "creep.share": -0.15, "creep.tau_s": 5.0}, PAIR),
+        ((), {}, PAIR, 0.0),
+        ((Delay(0.09, 8),), {"delay.delay_s": 0.09}, PAIR, ZEROED_DEG),
+        ((Lag(0.15),), {"lag.tau_s": 0.15}, PAIR, 0.0),
+        ((Delay(0.09, 8), Lag(0.15)), {"delay.delay_s": 0.09, "lag.tau_s": 0.15}, THREE, 0.0),
+        ((Lag(0.15), Creep((-0.15,), (5.0,))), {"lag.tau_s": 0.15, "creep.share": -0.15, "creep.tau_s": 5.0}, PAIR, 0),
     ],
-    ids=["none", "delay", "lag", "delay and lag", "lag and creep"],
+    ids=["none", "delay and trials zeroed anew", "lag", "delay and lag", "lag and creep"],
 )
 def test_what_is_there_is_found_and_nothing_else(
-    before: tuple[Operator, ...], truth: dict[str, float], motion: tuple[int, ...]
+    before: tuple[Operator, ...], truth: dict[str, float], motion: tuple[int, ...], offsets_deg: float
 ) -> None:
-    found = numbers(parts_of(identified(before, motion)))
+    parts = parts_of(identified(before, motion, offsets_deg))
+    assert parts.offsets == (offsets_deg > 0)
+    found = numbers(parts)
     assert {name for name in found if name.split(".")[0] in ("delay", "lag", "creep")} == set(truth)
     for name, value in truth.items():
         got, low, high = found[name]
@@ -117,7 +125,7 @@ def test_what_is_there_is_found_and_nothing_else(
 def test_steps_of_three_values_give_both_time_constants_of_a_valve() -> None:
     """Filling takes 2.5 s, venting 5 s; no ramp is recorded."""
     random = np.random.default_rng(2)
-    levels = [np.concatenate([[0.2], random.choice([0.2, 3.0, 5.8], 5)]) for _ in range(4)]
+    levels = [np.concatenate([[0.2], random.choice([0.2, 3.0, 5.8], 5)]) for _ in range(2)]
     commands = [np.repeat(level, 175) for level in levels]
     found = numbers(identify_auto(recorded(Lag(2.5, (5.0,)), commands=commands)))
     assert found["lag.tau_up_s"][0] == pytest.approx(2.5, rel=0.2)
@@ -132,12 +140,6 @@ def test_noise_is_taken_from_trials_that_the_fit_did_not_see() -> None:
     for left, error in zip(validation.left_out(judged), judged.errors, strict=True):
         np.testing.assert_allclose(left, -error, atol=1e-9)
     assert len(set(map(tuple, judged.fold_q))) == len(validation.folds)
-
-
-@pytest.mark.slow
-def test_trials_that_were_zeroed_anew_have_offsets_of_their_own() -> None:
-    assert parts_of(identified((Lag(0.15),), PAIR, offsets_deg=2.0)).offsets
-    assert not parts_of(identified((Lag(0.15),), PAIR)).offsets
 
 
 @pytest.mark.slow

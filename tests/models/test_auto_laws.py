@@ -51,8 +51,8 @@ def test_slow_and_fast_trials_are_in_every_fold() -> None:
 
 @pytest.mark.slow
 def test_the_order_of_the_files_changes_nothing() -> None:
-    trials = logs()
-    first, other = identify_auto(trials), identify_auto([trials[k] for k in (4, 2, 0, 3, 1)])
+    trials = logs(150)[1:4]
+    first, other = identify_auto(trials), identify_auto([trials[k] for k in (2, 0, 1)])
     assert other.choice.hypothesis.label == first.choice.hypothesis.label
     assert other.choice.core.label == first.choice.core.label
     np.testing.assert_allclose(other.choice.hypothesis.q, first.choice.hypothesis.q, rtol=1e-9)
