@@ -44,9 +44,9 @@ SMALLEST: dict[str, tuple[Study[Any, Any, Any], Any]] = {
             controllers=LOOPS,
         ),
     ),
-    "identify": (IDENTIFY, IdentifySettings.of(quick=True, kind="pi")),
+    "identify": (IDENTIFY, IdentifySettings.of(quick=True, kind="pi", evaluations=10)),
     "commission": (COMMISSION, CommissionStudySettings.of(devices=1, seed=3, quick=True, evaluations=10)),
-    "s1": (STUDIES["s1"], PaperSettings.for_study("s1", quick=True, kinds=("pi",))),
+    "s1": (STUDIES["s1"], PaperSettings.for_study("s1", quick=True, kinds=("backlash",))),
     "s2": (STUDIES["s2"], S2),
 }
 
@@ -137,7 +137,7 @@ def test_a_study_of_s1_scans_with_its_own_models(whole: Any) -> None:
     names = {path.stem for path in (folder / "tables").iterdir()}
     assert names >= {"table_3", "table_4", "reconstruction_errors", "per_trial", "jobs"}
     rows = rows_of(folder, "reconstruction_errors")
-    assert {row["model"] for row in rows} == {"PI"}
+    assert {row["model"] for row in rows} == {"backlash"}
     assert all(0 < float(row["mean [mm]"]) < 5 for row in rows)
     assert "Table III" in (folder / "report.html").read_text()
 
