@@ -23,17 +23,20 @@ from hystmpc.trials.recording import by_manifest
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc_lab.faults.cases import CASES, Kind, Link, write_device, write_run
 from hystmpc_lab.faults.judge import judge
-from hystmpc_lab.faults.play import device_log, end, play, start, start_device
+from hystmpc_lab.faults.play import device_log, end, play, start_device
 
 from ..cli.test_verbs import run as called
 from .brief import brief
+from .forked import Forked, forked
 from .test_dds import needs_dds
+
+__all__ = ["forked"]
 
 PLAIN = CASES[0]
 
 
 @pytest.fixture
-def device(tmp_path: Path) -> Iterator[tuple[int, subprocess.Popen[str]]]:
+def device(forked: None, tmp_path: Path) -> Iterator[tuple[int, subprocess.Popen[str]]]:
     """A device process; its port, and itself."""
     process, port = start_device(write_device(PLAIN, tmp_path))
     yield port, process
@@ -46,7 +49,7 @@ def test_a_signal_ends_a_run_at_the_safe_command_and_latches(
 ) -> None:
     """SIGTERM of the controller, then the refusal, then the reset; SIGINT of the device ends it cleanly."""
     config = write_run(PLAIN, tmp_path, Link(port=device[0]))
-    first = start(["run", config, "--out", tmp_path / "first"])
+    first = Forked(["run", config, "--out", tmp_path / "first"])
     until = time.monotonic() + 60
     while time.monotonic() < until and not any(row[3] > 1.0 for row in device_log(tmp_path)[-5:]):
         time.sleep(0.05)
@@ -79,6 +82,7 @@ def test_a_signal_ends_a_run_at_the_safe_command_and_latches(
         pytest.param("the same, then the first one killed", "dds", marks=needs_dds),
     ],
 )
+@pytest.mark.usefixtures("forked")
 def test_a_part_of_the_campaign(name: str, kind: Kind, tmp_path: Path) -> None:
     case = brief(name)
     if case.second is not None:  # it is refused once it has waited
