@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+
 from hystmpc_lab.faults.cases import CASES, FaultCase
 
 AT_S = 1.2  # the device holds some 2.5 mm and rises
