@@ -32,9 +32,10 @@ from hystmpc.rig.transports.simulated import SimulatedSettings
 from hystmpc.trials.config import parse_yaml
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import RunFolder
-from hystmpc_lab.faults.play import end, start
+from hystmpc_lab.faults.play import end
 
 from .bench_parts import RAMPS
+from .forked import Forked
 from .recording_samples import sample
 from .test_processes import RUN, SIMULATED
 from .test_run import DT, SETTINGS, Straight
@@ -428,7 +429,7 @@ def test_a_run_of_the_command_line_is_led_from_the_page(tmp_path: Path) -> None:
     """Start, a target and an e-stop, over the address that the terminal shows."""
     config, folder = tmp_path / "run.yaml", tmp_path / "run"
     config.write_text(SIMULATED + RUN + "live: {control: true, wait_for_start: true, port: 0}\n")
-    process = start(["run", config, "--out", folder])
+    process = Forked(["run", config, "--out", folder])
     try:
         assert process.stdout is not None
         address = next(line.split()[-1] for line in process.stdout if "live page: " in line)
