@@ -104,6 +104,17 @@ def test_torch_is_imported_by_training_only() -> None:
 
 
 @pytest.mark.slow
+def test_a_bench_starts_without_what_takes_a_second_to_import() -> None:
+    """Device, run, recording and its process; a report is written after the run, and a fit takes what it needs."""
+    names = ("bench.device", "rig.device", "rig.run", "rig.experiment.experiment", "rig.recording.recorder_process")
+    code = "import sys, " + ", ".join(f"hystmpc.{name}" for name in names)
+    code += "\nsys.exit(' '.join(name for name in sys.argv[1:] if name in sys.modules))"
+    slow = ("scipy.signal", "scipy.optimize", "scipy.stats", "matplotlib", "torch")
+    done = subprocess.run([sys.executable, "-c", code, *slow], capture_output=True, text=True, check=False)
+    assert done.stderr.strip() == ""
+
+
+@pytest.mark.slow
 def test_importing_the_package_does_not_load_torch() -> None:
     names = [module.name for module in modules() if not may_need_torch(module)]
     code = (
