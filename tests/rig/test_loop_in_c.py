@@ -109,8 +109,10 @@ class Kept:
         """Nothing to do."""
 
 
-def run(tip: Tip, folder: Path, kept: Kept, desk: Desk | None = None, **changes: Any) -> BenchResult:
-    """A sine with the loop in C."""
+def run(
+    tip: Tip, folder: Path, kept: Kept, desk: Desk | None = None, cycles: int = 2, hz: float = 1.0, **changes: Any
+) -> BenchResult:
+    """A sine with the loop in C; a device that a busy machine slows down has the second cycle too."""
     with tip.listening() as port:
         settings = RunSettings.parse(
             {
@@ -130,8 +132,8 @@ def run(tip: Tip, folder: Path, kept: Kept, desk: Desk | None = None, **changes:
                     "start_deg": 40,
                     "centre_deg": 55,
                     "amplitude_deg": 10,
-                    "frequency_hz": 1.0,
-                    "cycles": 1,
+                    "frequency_hz": hz,
+                    "cycles": cycles,
                 },
                 "plausibility": {"model_error_deg": 60.0},
                 **changes,
@@ -191,7 +193,7 @@ def taken(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
 
 def test_a_calm_run_is_taken_in_c(tmp_path: Path) -> None:
     tip, kept = Tip(), Kept()
-    result = run(tip, tmp_path, kept)
+    result = run(tip, tmp_path, kept, cycles=1)
     planned = [sample for sample in kept.samples if sample.source == "mpc"]
     assert not result.outcome.cause
     assert result.outcome.confirmed
@@ -236,7 +238,7 @@ def spoiler(share: float) -> Spoil:
 
 def test_python_finds_nothing_wrong_with_what_c_has_taken(tmp_path: Path) -> None:
     tip, kept = Tip(spoiler(0.03)), Kept()
-    result = run(tip, tmp_path, kept)
+    result = run(tip, tmp_path, kept, cycles=3)
     assert result.outcome.in_c > 50
     assert result.outcome.left_c["reading"] > 3
     seen = {"not-a-number", "out-of-range", "jump", "stale", "replayed-or-reordered"}
@@ -246,22 +248,20 @@ def test_python_finds_nothing_wrong_with_what_c_has_taken(tmp_path: Path) -> Non
 
 
 def test_silence_is_left_to_python(tmp_path: Path) -> None:
-    result = run(Tip(lambda m: [] if SPOILT < m.sequence < SPOILT + 35 else [encode(m)]), tmp_path, Kept())
+    result = run(Tip(lambda m: [] if 300 < m.sequence < 335 else [encode(m)]), tmp_path, Kept())
     assert result.outcome.left_c["reading"] >= 1
     assert not result.outcome.cause
 
 
 def test_an_angle_out_of_range_is_left_to_python(tmp_path: Path) -> None:
-    result = run(Tip(), tmp_path, Kept(), sensor={"lower_deg": 0, "upper_deg": 58.0})
+    result = run(Tip(), tmp_path, Kept(), cycles=1, hz=0.5, sensor={"lower_deg": 0, "upper_deg": 58.0})
     assert result.outcome.faults["out-of-range"] > 0
     assert result.outcome.left_c["reading"] >= 1
 
 
 def test_at_the_greatest_rate_the_last_check_limits_what_leaves(tmp_path: Path) -> None:
-    tip = Tip()
-    result = run(
-        tip, tmp_path, Kept(), limits={"lower": 0, "upper": 6, "rate_per_s": 4.0}, ramps={"velocity_per_s": 4.0}
-    )
+    tip, limits = Tip(), {"lower": 0, "upper": 6, "rate_per_s": 4.0}
+    result = run(tip, tmp_path, Kept(), cycles=1, limits=limits, ramps={"velocity_per_s": 4.0})
     assert result.outcome.clipped > 0
     assert result.outcome.in_c > 50
     moves = [abs(b - a) for a, b in itertools.pairwise(tip.commands)]
@@ -334,11 +334,10 @@ def test_a_target_from_elsewhere_is_tracked_until_stop(tmp_path: Path) -> None:
     kept = Kept()
 
     def lead() -> None:
-        while len(kept.samples) < SPOILT:
+        while len(kept.samples) < 400:
             time.sleep(0.01)
         assert desk.ask("target", 62.0).done
-        while abs(kept.samples[-1].reference_deg - 62.0) > 1e-6 and kept.samples[-1].source != "return":
-            time.sleep(0.01)
+        time.sleep(2.5)
         desk.ask("stop")
 
     leader = threading.Thread(target=lead, daemon=True)
@@ -398,7 +397,7 @@ def test_a_reference_that_fails_leaves_the_samples_to_python(tmp_path: Path, mon
         return at(self, t)
 
     monkeypatch.setattr(GivenReference, "at", failing)
-    result = run(Tip(), tmp_path, Kept())
+    result = run(Tip(), tmp_path, Kept(), cycles=1)
     assert result.outcome.left_c["no further reference"] >= 1
     assert not result.outcome.cause
     assert time.monotonic() - begun < 60.0
