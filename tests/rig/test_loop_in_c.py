@@ -261,7 +261,7 @@ def test_an_angle_out_of_range_is_left_to_python(tmp_path: Path) -> None:
 
 def test_at_the_greatest_rate_the_last_check_limits_what_leaves(tmp_path: Path) -> None:
     tip, limits = Tip(), {"lower": 0, "upper": 6, "rate_per_s": 4.0}
-    result = run(tip, tmp_path, Kept(), cycles=1, limits=limits, ramps={"velocity_per_s": 4.0})
+    result = run(tip, tmp_path, Kept(), limits=limits, ramps={"velocity_per_s": 4.0})
     assert result.outcome.clipped > 0
     assert result.outcome.in_c > 50
     moves = [abs(b - a) for a, b in itertools.pairwise(tip.commands)]
