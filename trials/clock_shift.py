@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from .segments import turning_points
-from .types import Index, Vec
+from .types import Index, Vec, lagged
 
 DELAY_S = 2.0
 """Greatest plausible delay of an angle after its command [s]; smaller shifts are not distinguished from it."""
@@ -137,13 +138,9 @@ def correlations(u: Vec, y: Vec, most: int) -> tuple[Index, Vec]:
 
 def _left_by_lags(u: Vec, y: Vec, dt: float) -> float:
     """Least unexplained variance share of y, over models of u: first-order lag plus direct term."""
-    from scipy.signal import lfilter, lfiltic
-
     least = 1.0
     for tau in _LAGS_S:
-        keep = float(np.exp(-dt / tau))
-        late = lfilter([1 - keep], [1, -keep], u, zi=lfiltic([1 - keep], [1, -keep], [u[0]]))[0]
-        columns = np.column_stack([np.ones(u.size), late, u])
+        columns = np.column_stack([np.ones(u.size), lagged(u, math.exp(-dt / tau)), u])
         residual = y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
         least = min(least, float(residual.var() / y.var()))
     return least

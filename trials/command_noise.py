@@ -13,7 +13,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import isotonic_regression
 
 from .segments import turning_points
 from .trial import Trial
@@ -211,6 +210,8 @@ def _one_sided(command: Vec, sigma: float, stride: int) -> tuple[Vec, Vec]:
 
 def _monotone(command: Vec, turn: float) -> Vec:
     """Monotone least-squares fit of the command between reversals of at least size `turn`."""
+    from scipy.optimize import isotonic_regression  # half a second to import
+
     made, turns = command.copy(), turning_points(command, turn)[1].tolist()
     for a, b in itertools.pairwise(dict.fromkeys([0, *turns, command.size - 1])):
         rising = bool(command[b] >= command[a])

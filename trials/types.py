@@ -1,4 +1,4 @@
-"""Types common to all modules: arrays with time as first axis, their RMS, and the progress of a long computation."""
+"""Common to all modules: arrays with time as first axis, their RMS, a first-order lag, progress of a computation."""
 
 from __future__ import annotations
 
@@ -26,6 +26,16 @@ def rms(values: Vec) -> float:
     """Root mean square of the finite ones of the values, of any shape; NaN without one."""
     known = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")
+
+
+def lagged(signal: Vec, keep: float) -> Vec:
+    """Signal (T,) behind a first-order lag at rest at its first value: y_k = keep y_{k-1} + (1 - keep) u_k.
+
+    `scipy.signal` has this too, and takes more than a second to import.
+    """
+    gained = ((1.0 - keep) * signal).tolist()
+    rest = float(signal[0]) if signal.size else 0.0
+    return np.array([*accumulate(gained, lambda y, u: keep * y + u, initial=rest)][1:], dtype=np.float64)
 
 
 class Progress(Protocol):

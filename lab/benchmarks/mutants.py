@@ -42,7 +42,6 @@ _LEFT_OUT = (
     ".*_cache",
     "runs",
     "demo",
-    "bench",
     "build",
     "dist",
     "*.egg-info",

@@ -7,11 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import lfilter
 
 from hystmpc.trials.segments import Motion, segment
 from hystmpc.trials.trial import Trial
-from hystmpc.trials.types import Vec
+from hystmpc.trials.types import Vec, lagged
 
 from ..chain import Chain
 from ..effects.catalogue import EFFECTS
@@ -310,7 +309,7 @@ def _best(
     best, chosen = math.inf, (0, 0.0)
     for tau in taus:
         kept = math.exp(-runs[0].dt_s / tau) if tau else 0.0
-        late = [np.asarray(lfilter([1 - kept], [1, -kept], run.command - run.command[0])) for run in runs]
+        late = [lagged(run.command - run.command[0], kept) for run in runs]
         for delay in delays:
             left = _left(late, angles, delay)
             if left < best:

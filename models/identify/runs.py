@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from hystmpc.trials.check import LEAST_SAMPLES
 from hystmpc.trials.errors import FitError
@@ -393,6 +392,7 @@ def whitened(signal: Vec, white: Vec) -> Vec:
     """Filtered signal (T, ...) of one run; zero in the first samples, which lack a past. A filter begins with 1."""
     if white.size == 1:
         return signal
-    left = np.asarray(lfilter(white, [1.0], signal, axis=0))
-    left[: white.size - 1] = 0.0
+    past, left = white.size - 1, np.zeros_like(signal)
+    for k, weight in reversed(list(enumerate(white.tolist()))):
+        left[past:] += weight * signal[past - k : max(len(signal) - k, 0)]
     return left

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from hystmpc.ctrl.monitor import ChangeMonitor
 from hystmpc.models.evaluate import free_run
@@ -26,7 +25,7 @@ from hystmpc.trials.layouts import CANONICAL
 from hystmpc.trials.report import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table, style
 from hystmpc.trials.run_folder import Column, RunFolder
 from hystmpc.trials.trial import Trial, Units
-from hystmpc.trials.types import Vec, rms
+from hystmpc.trials.types import Vec, lagged, rms
 
 from ..config import RunSettings
 from ..recording.report import Log, causes, numbers, timing_table, tracked
@@ -172,8 +171,7 @@ def _free_run(model: LoadedModel, settings: RunSettings, command: Vec, sequence:
     row = np.searchsorted(place, np.arange(place[-1] + 1), side="right") - 1
     sent, lag_s = command[row], settings.controller.actuator_lag_s
     if lag_s > 0:
-        keep = math.exp(-settings.dt_s / lag_s)
-        sent = lfilter([1 - keep], [1, -keep], sent, zi=[keep * sent[0]])[0]
+        sent = lagged(sent, math.exp(-settings.dt_s / lag_s))
     finite = angle[np.isfinite(angle)]
     return free_run(model, sent, float(finite[0]) if finite.size else 0.0)[place]
 

@@ -64,40 +64,40 @@ def test_a_device_becomes_a_controller(whole: tuple[Path, list[float]]) -> None:
     assert spent <= 60.0 * settings(out).commission.minutes
 
 
+# Commands after which each call is interrupted, as a share of those of a whole commissioning, and how.
+INTERRUPTED = ((0.05, "killed"), (0.2, "signal"), (0.35, "killed"), (0.5, "killed"))
+
+
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
-@pytest.mark.parametrize(
-    ("share", "how"),
-    [
-        (0.5, "killed"),
-        pytest.param(0.05, "killed", marks=pytest.mark.slow),
-        pytest.param(0.9, "killed", marks=pytest.mark.slow),
-        pytest.param(0.2, "signal", marks=pytest.mark.slow),
-    ],
-)
-def test_an_interrupted_one_goes_on_to_the_same_result(
-    whole: tuple[Path, list[float]], share: float, how: str, tmp_path: Path
+def test_interrupted_again_and_again_it_goes_on_to_the_same_result(
+    whole: tuple[Path, list[float]], tmp_path: Path
 ) -> None:
     """At any command of the device: nothing complete is lost or repeated, and what comes after is the same."""
-    bench, sent, at = settings(tmp_path), list[float](), max(round(share * len(whole[1])), 1)
+    bench, kept = settings(tmp_path), dict[Path, int]()
+    for share, how in INTERRUPTED:
+        sent, at = list[float](), max(round(share * len(whole[1])), 1)
 
-    def angle(k: int, u: float, y: float) -> float:
-        if k == at and how == "killed":
-            raise KeyboardInterrupt
-        if k == at:
-            signal.raise_signal(signal.SIGINT)
-        return y
+        def angle(k: int, u: float, y: float, at: int = at, how: str = how) -> float:
+            if k == at and how == "killed":
+                raise KeyboardInterrupt
+            if k == at:
+                signal.raise_signal(signal.SIGINT)
+            return y
 
-    with pytest.raises(KeyboardInterrupt if how == "killed" else DeviceStoppedError):
-        commissioned(bench, tmp_path / "run", sent, angle)
-    kept = {f: f.stat().st_mtime_ns for f in sorted((tmp_path / "run").rglob("*.csv"))}
-    with pytest.raises(ConfigError, match="latched"):
-        commissioned(bench, tmp_path / "run", sent, angle)
-    reset_latch(bench)
+        with pytest.raises(KeyboardInterrupt if how == "killed" else DeviceStoppedError):
+            commissioned(bench, tmp_path / "run", sent, angle)
+        assert within(sent, bench)
+        assert kept == {f: f.stat().st_mtime_ns for f in kept}
+        kept = {f: f.stat().st_mtime_ns for f in sorted((tmp_path / "run").rglob("*.csv"))}
+        with pytest.raises(ConfigError, match="latched"):
+            commissioned(bench, tmp_path / "run", sent, angle)
+        reset_latch(bench)
     after = list[float]()  # a computed device begins anew at rest
     commissioned(bench, tmp_path / "run", after)
     assert results(tmp_path / "run") == results(whole[0])
+    assert {f.parent.parent.name for f in kept} == {NAMES[1], NAMES[6]}
     assert kept == {f: f.stat().st_mtime_ns for f in kept}
-    assert within(sent, bench)
     assert within(after, bench)
 
 

@@ -13,14 +13,19 @@ from typing import Any
 import pytest
 
 import hystmpc
-from hystmpc.bench import motions
+from hystmpc.bench import device, motions, phases
+from hystmpc.rig.recording.recording import RecordingMeta, open_recording
+from hystmpc.rig.recording.sample import Sink
 from hystmpc.trials.config import dump_yaml
 from hystmpc_lab.faults.play import end, start_device
 
 from ..cli.test_verbs import run
+from ..rig.forked import forked
 from .small_commission import BENCH, SCAN
 
-PLAYED = ("steps", "slow_sine", "fast_sine")
+__all__ = ["forked"]
+
+PLAYED = ("shrinking_sine", "fast_sine")
 DEVICE = {
     "rate_hz": 25,
     "command_unit": "mm",
@@ -100,12 +105,17 @@ def test_ctrl_c_in_a_computation_keeps_the_stages(
 
 @pytest.fixture
 def short(quick: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Three short recordings."""
+    """Two short recordings; what is measured is written in a thread: no process is started for each motion."""
     whole = motions.identification_motions
 
     def some(*arguments: Any) -> Iterator[tuple[str, Any]]:
         return (named for named in whole(*arguments) if named[0] in PLAYED)
 
+    def recorder(folder: Path, config: Any, meta: RecordingMeta, rate_hz: float, *views: object, report: bool) -> Sink:
+        return open_recording(folder, config, meta, rate_hz, report=report)
+
+    monkeypatch.setattr(device, "open_recorder_process", recorder)
+    monkeypatch.setattr(phases, "HOLD_S", 0.2)
     monkeypatch.setattr(motions, "_REST_S", 0.3)
     monkeypatch.setattr(motions, "_RECORD_SHARE", 0.65)
     monkeypatch.setattr(motions, "_RECORDINGS", len(PLAYED))
@@ -113,7 +123,7 @@ def short(quick: None, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def udp(tmp_path: Path) -> Iterator[int]:
+def udp(forked: None, tmp_path: Path) -> Iterator[int]:
     """The port of a device process, which has counted no command beyond its limits when it ends."""
     (tmp_path / "device.yaml").write_text(dump_yaml(DEVICE))
     process, port = start_device(tmp_path / "device.yaml")
@@ -125,12 +135,12 @@ def udp(tmp_path: Path) -> Iterator[int]:
 
 
 def interrupt_once(folder: Path) -> None:
-    """Ctrl-C a second after a folder has appeared."""
+    """Ctrl-C half a second after a folder has appeared."""
 
     def wait() -> None:
         while not folder.exists():
             time.sleep(0.05)
-        time.sleep(1.0)
+        time.sleep(0.5)
         signal.raise_signal(signal.SIGINT)
 
     threading.Thread(target=wait, daemon=True).start()
@@ -141,13 +151,13 @@ def interrupt_once(folder: Path) -> None:
 def test_over_udp_ctrl_c_keeps_what_is_complete_and_the_same_command_goes_on(
     udp: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """In real time, with three recordings; the device itself counts commands beyond its limits."""
-    scan = SCAN | {"frequency_hz": 1.0, "amplitude_deg": 4.0}
+    """In real time, with two recordings; the device itself counts commands beyond its limits."""
+    scan = SCAN | {"frequency_hz": 1.0, "start_deg": 51.0, "amplitude_deg": 4.0}
     block = BENCH["commission"] | {"minutes": 1.0, "range_steps": 4, "motions": {"scan": scan}}
     transport = {"kind": "udp", "host": "127.0.0.1", "port": udp}
     bench, out = written(tmp_path, transport=transport, commission=block), tmp_path / "run"
     trials = out / "2-record" / "trials"
-    interrupt_once(out / "2-record" / "runs" / "slow_sine")
+    interrupt_once(out / "2-record" / "runs" / PLAYED[1])
     code, _, said = run(capsys, "commission", bench, "--out", out)
     assert (code, "stopped: SIGINT" in said) == (3, True), said[-500:]
     kept = {f: f.read_bytes() for f in trials.glob("*.csv")}

@@ -213,7 +213,7 @@ def shown_until(screen: int, text: str, seconds: float = 120.0) -> str:
 def test_ctrl_c_during_training_keeps_the_best_so_far(logs: list[Path], tmp_path: Path) -> None:
     pytest.importorskip("torch", reason="torch is an extra")
     target = tmp_path / "net.onnx"
-    arguments = ["fit", "lstm", *map(str, logs), "--out", str(target), "--epochs", "100000"]
+    arguments = ["fit", "lstm", str(logs[1]), "--rate-hz", "10", "--out", str(target), "--epochs", "100000"]
     program = "import sys; from hystmpc.cli.main import main; sys.argv = ['hystmpc', *sys.argv[1:]]; main()"
     screen, terminal = os.openpty()  # a progress bar is only drawn on a terminal
     process = subprocess.Popen(

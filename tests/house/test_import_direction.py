@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -13,6 +14,8 @@ import pytest
 from .source import LAB, ROOMS, ROOT, TIERS, Module, modules
 
 TIER = {room: number for number, tier in enumerate(TIERS) for room in tier}
+# What may be such an import, in one line or in several: only these files are parsed.
+OF_A_ROOM = re.compile(rf"\bfrom\s+(?:{'|'.join(ROOMS)})\b|\bimport\b(?:[^\n]|\\\n)*?(?<![.\w])(?:{'|'.join(ROOMS)})\b")
 
 
 def wrong_way(root: Path) -> Iterator[str]:
@@ -78,9 +81,10 @@ def test_a_room_imports_itself_relatively() -> None:
 def test_no_room_is_imported_as_a_top_level_package() -> None:
     """It would work in a checkout and fail for everybody who has installed a wheel."""
     files = [path for folder in (*ROOMS, LAB, "tests", "examples") for path in (ROOT / folder).rglob("*.py")]
+    texts = {path: path.read_text(encoding="utf-8") for path in files}
     offenders = []
-    for path in files:
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for path in (path for path, text in texts.items() if OF_A_ROOM.search(text)):
+        for node in ast.walk(ast.parse(texts[path])):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             if isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
                 names = [node.module]
@@ -97,6 +101,17 @@ def test_torch_is_imported_by_training_only() -> None:
         if name.partition(".")[0] == "torch"
     ]
     assert offenders == []
+
+
+@pytest.mark.slow
+def test_a_bench_starts_without_what_takes_a_second_to_import() -> None:
+    """Device, run, recording and its process; a report is written after the run, and a fit takes what it needs."""
+    names = ("bench.device", "rig.device", "rig.run", "rig.experiment.experiment", "rig.recording.recorder_process")
+    code = "import sys, " + ", ".join(f"hystmpc.{name}" for name in names)
+    code += "\nsys.exit(' '.join(name for name in sys.argv[1:] if name in sys.modules))"
+    slow = ("scipy.signal", "scipy.optimize", "scipy.stats", "matplotlib", "torch")
+    done = subprocess.run([sys.executable, "-c", code, *slow], capture_output=True, text=True, check=False)
+    assert done.stderr.strip() == ""
 
 
 @pytest.mark.slow

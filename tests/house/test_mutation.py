@@ -42,6 +42,12 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 
 @pytest.mark.slow
+def test_the_copy_has_every_file_that_is_mutated_and_its_tests(copy: Any) -> None:
+    named = {file for mutant in MUTANTS for file in (mutant.file, *mutant.tests)}
+    assert sorted(file for file in named if not (copy.root / file).exists()) == []
+
+
+@pytest.mark.slow
 def test_a_mutant_is_killed_in_a_copy_and_one_that_changes_nothing_survives(copy: Any) -> None:
     """Were the original imported, the first one would survive; could nothing survive, the second would be killed."""
     file, tests = "ctrl/command.py", ("tests/ctrl/test_limits.py",)

@@ -29,6 +29,10 @@ from hystmpc_lab.faults.judge import judge
 from hystmpc_lab.faults.play import play
 
 from .bench_parts import DT, LIMITS, NS, Rig
+from .brief import brief
+from .forked import forked
+
+__all__ = ["forked"]
 
 SAME = 1e-6  # mm, deg
 RUN: dict[str, Any] = {
@@ -154,17 +158,18 @@ def test_a_run_ends_at_rest_within_the_limits(name: str) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("forked")
 @pytest.mark.parametrize("name", ["device killed", "controller SIGTERM"])
 def test_faults_over_udp_end_as_with_python(name: str, tmp_path: Path) -> None:
     """Two processes and a socket; the verdicts of the campaign, from the device's own log. What needs neither, as a
     sensor without angles or a solver that fails, is compared above."""
-    case = next(case for case in CAMPAIGN if case.name == name)
-    case = case.stepped_by("c")
+    case = brief(name).stepped_by("c")
     verdict = judge(case, play(case, tmp_path / "case", Link()))
     assert verdict.failures == (), verdict
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("forked")
 def test_over_udp_python_would_have_sent_what_the_c_sent(tmp_path: Path) -> None:
     """The Python phase is shown the samples of the run's own log, so that the time of a message makes no difference."""
     folder = tmp_path / "case"

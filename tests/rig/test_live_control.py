@@ -32,9 +32,10 @@ from hystmpc.rig.transports.simulated import SimulatedSettings
 from hystmpc.trials.config import parse_yaml
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import RunFolder
-from hystmpc_lab.faults.play import end, start
+from hystmpc_lab.faults.play import end
 
 from .bench_parts import RAMPS
+from .forked import Forked
 from .recording_samples import sample
 from .test_processes import RUN, SIMULATED
 from .test_run import DT, SETTINGS, Straight
@@ -366,6 +367,8 @@ def test_an_e_stop_waits_for_no_other_request_and_for_no_viewer() -> None:
     finally:
         hangs.set()
         slow.join()
+        for viewer in viewers:
+            viewer.close()
         page.close()
 
 
@@ -400,7 +403,12 @@ def test_requests_reach_the_run_through_the_recording_process(tmp_path: Path) ->
     """Two processes, as in every run: the page in one, the run in the other; the token is in no file of the run."""
     desk = Desk(CONTROL)
     desk.take_targets(lambda angle: Reply(angle < 80, f"{angle:g} deg"), 20.0, 80.0)
-    views, meta, said = Views(page=True, port=0), RecordingMeta("mm"), list[str]()
+    views, meta, said, over = Views(page=True, port=0), RecordingMeta("mm"), list[str](), threading.Event()
+
+    def silent(action: str, value: float = 0.0) -> Reply:
+        over.wait(30)
+        return Reply(bool(action) and value < 0)
+
     recorder = open_recorder_process(tmp_path / "run", {}, meta, 100.0, views, said.append, False, desk)
     try:
         for k in range(10):
@@ -411,9 +419,10 @@ def test_requests_reach_the_run_through_the_recording_process(tmp_path: Path) ->
         assert (desk.flag.cause, desk.flag.ending) == ("", False)
         assert post(recorder.page, "/estop") == (200, "")
         assert desk.flag.cause == E_STOP
-        desk.ask = _silent  # type: ignore[method-assign]  # a controller that hangs
+        desk.ask = silent  # type: ignore[method-assign]  # a controller that hangs
         assert post(recorder.page, "/estop") == (409, "the run has not answered: use the device's own emergency stop")
     finally:
+        over.set()
         recorder.close()
     assert (recorder.on_disk, said) == (10, [])
     token = urlsplit(recorder.page).fragment
@@ -428,7 +437,7 @@ def test_a_run_of_the_command_line_is_led_from_the_page(tmp_path: Path) -> None:
     """Start, a target and an e-stop, over the address that the terminal shows."""
     config, folder = tmp_path / "run.yaml", tmp_path / "run"
     config.write_text(SIMULATED + RUN + "live: {control: true, wait_for_start: true, port: 0}\n")
-    process = start(["run", config, "--out", folder])
+    process = Forked(["run", config, "--out", folder])
     try:
         assert process.stdout is not None
         address = next(line.split()[-1] for line in process.stdout if "live page: " in line)
@@ -448,8 +457,3 @@ def test_a_run_of_the_command_line_is_led_from_the_page(tmp_path: Path) -> None:
     assert {"await start", "stop"} <= set(log["source"])
     assert float(log["command_mm"][-1]) == 0.0
     assert f"safe stop: {E_STOP}" in log["status"]
-
-
-def _silent(action: str, value: float = 0.0) -> Reply:
-    threading.Event().wait(3)
-    return Reply(bool(action) and value < 0)

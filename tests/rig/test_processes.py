@@ -10,6 +10,7 @@ import socket
 import subprocess
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -22,16 +23,20 @@ from hystmpc.trials.recording import by_manifest
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc_lab.faults.cases import CASES, Kind, Link, write_device, write_run
 from hystmpc_lab.faults.judge import judge
-from hystmpc_lab.faults.play import PROGRAM, device_log, end, play, start, start_device
+from hystmpc_lab.faults.play import device_log, end, play, start_device
 
 from ..cli.test_verbs import run as called
+from .brief import brief
+from .forked import Forked, forked
 from .test_dds import needs_dds
+
+__all__ = ["forked"]
 
 PLAIN = CASES[0]
 
 
 @pytest.fixture
-def device(tmp_path: Path) -> Iterator[tuple[int, subprocess.Popen[str]]]:
+def device(forked: None, tmp_path: Path) -> Iterator[tuple[int, subprocess.Popen[str]]]:
     """A device process; its port, and itself."""
     process, port = start_device(write_device(PLAIN, tmp_path))
     yield port, process
@@ -40,11 +45,11 @@ def device(tmp_path: Path) -> Iterator[tuple[int, subprocess.Popen[str]]]:
 
 @pytest.mark.slow
 def test_a_signal_ends_a_run_at_the_safe_command_and_latches(
-    device: tuple[int, subprocess.Popen[str]], tmp_path: Path
+    device: tuple[int, subprocess.Popen[str]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """SIGTERM of the controller, then the refusal, then the reset; SIGINT of the device ends it cleanly."""
     config = write_run(PLAIN, tmp_path, Link(port=device[0]))
-    first = start(["run", config, "--out", tmp_path / "first"])
+    first = Forked(["run", config, "--out", tmp_path / "first"])
     until = time.monotonic() + 60
     while time.monotonic() < until and not any(row[3] > 1.0 for row in device_log(tmp_path)[-5:]):
         time.sleep(0.05)
@@ -55,9 +60,7 @@ def test_a_signal_ends_a_run_at_the_safe_command_and_latches(
     rows = device_log(tmp_path)
     assert rows[-1][3] == 0.0
     assert json.loads((tmp_path / "first" / "latched.json").read_text())["cause"] == "SIGTERM"
-    second = hystmpc("run", config, "--out", tmp_path / "second")
-    assert second.returncode == 2
-    assert "stop latched" in second.stderr
+    assert "stop latched" in refusal(capsys, "run", config, "--out", tmp_path / "second")
     assert not (tmp_path / "second").exists()
     device[1].send_signal(signal.SIGINT)
     out, _ = device[1].communicate(timeout=30)
@@ -79,8 +82,14 @@ def test_a_signal_ends_a_run_at_the_safe_command_and_latches(
         pytest.param("the same, then the first one killed", "dds", marks=needs_dds),
     ],
 )
+@pytest.mark.usefixtures("forked")
 def test_a_part_of_the_campaign(name: str, kind: Kind, tmp_path: Path) -> None:
-    case = next(case for case in CASES if case.name == name)
+    case = brief(name, cycles=1 if name == "disk full" else 3)
+    if case.second is not None:  # it is refused once it has waited
+        briefly = replace(case.second, arguments=(*case.second.arguments, "--set", "connect_timeout_s=1"))
+        case = replace(case, second=briefly)
+    if case.file_limit_bytes is not None:
+        case = replace(case, file_limit_bytes=8_000)
     link = Link(kind, domain=10 + os.getpid() % 90)  # one that no other worker is in
     verdict = judge(case, play(case, tmp_path / "case", link))
     assert verdict.failures == (), verdict
@@ -110,17 +119,13 @@ settle_s: 0.1
 """
 
 
-def hystmpc(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*PROGRAM, *map(str, arguments)], capture_output=True, text=True, check=False)
-
-
 @pytest.mark.slow
 def test_run_report_and_replay(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A simulated run leaves a whole folder and advice; its report is made anew; its angles can be replayed."""
     (tmp_path / "run.yaml").write_text(SIMULATED + RUN)
-    done = hystmpc("run", tmp_path / "run.yaml", "--out", tmp_path / "run")
-    assert done.returncode == 0, done.stderr
-    assert "nothing is due" in done.stdout
+    code, said, problem = called(capsys, "run", tmp_path / "run.yaml", "--out", tmp_path / "run")
+    assert code == 0, problem
+    assert "nothing is due" in said
     names = {path.name for path in (tmp_path / "run").iterdir()}
     assert {"config.yaml", "meta.json", "log.csv", "timing.json", "report.html", "trial.csv"} <= names
     assert not (tmp_path / "latched.json").exists()
@@ -137,8 +142,8 @@ def test_run_report_and_replay(tmp_path: Path, capsys: pytest.CaptureFixture[str
     (tmp_path / "again.yaml").write_text(
         re.sub("transport: .*", "transport: {kind: replay, run: run}", SIMULATED) + RUN
     )
-    again = hystmpc("run", tmp_path / "again.yaml", "--out", tmp_path / "again")
-    assert again.returncode == 0, again.stderr
+    code, _, problem = called(capsys, "run", tmp_path / "again.yaml", "--out", tmp_path / "again")
+    assert code == 0, problem
     both = []
     for name in ("run", "again"):
         log = RunFolder.open(tmp_path / name).log()
@@ -150,8 +155,8 @@ def test_run_report_and_replay(tmp_path: Path, capsys: pytest.CaptureFixture[str
 def test_record_writes_trials_that_read_as_the_device_moved(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "motion.csv").write_text("time_s,command_mm,separation_deg\n0,0,0\n1,2,0\n2,0,0\n")
     (tmp_path / "record.yaml").write_text(SIMULATED + RECORD)
-    done = hystmpc("record", tmp_path / "record.yaml", "--out", tmp_path / "out")
-    assert done.returncode == 0, done.stderr
+    code, _, problem = called(capsys, "record", tmp_path / "record.yaml", "--out", tmp_path / "out")
+    assert code == 0, problem
     trials = {path.stem: read_csv(path) for path in (tmp_path / "out" / "trials").glob("*.csv")}
     assert by_manifest([str(tmp_path / "out" / "trials" / f"{name}.csv") for name in trials]) is not None
     assert set(trials) == {"steps", "file"}
@@ -241,12 +246,14 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
 
 
 @pytest.mark.slow
-def test_a_device_says_what_of_its_scheduling_is_refused_and_serves_all_the_same(tmp_path: Path) -> None:
+def test_a_device_says_what_of_its_scheduling_is_refused_and_serves_all_the_same(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     config = write_device(PLAIN, tmp_path)
-    done = hystmpc("device", config, "--seconds", "0.3", "--set", "realtime.cpu=10000")
-    assert done.returncode == 0
-    assert "device ready" in done.stdout
-    (line,) = done.stderr.splitlines()
+    code, said, refused = called(capsys, "device", config, "--seconds", "0.3", "--set", "realtime.cpu=10000")
+    assert code == 0
+    assert "device ready" in said
+    (line,) = refused.splitlines()
     assert line.startswith("realtime.cpu: core 10000 refused")
 
 

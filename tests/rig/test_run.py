@@ -14,9 +14,10 @@ import pytest
 from hystmpc.cli.device import _end_of
 from hystmpc.ctrl.loop import Plant
 from hystmpc.rig.config import BenchSettings
-from hystmpc.rig.experiment.experiment import run_experiment
+from hystmpc.rig.experiment.experiment import tracking_phase
 from hystmpc.rig.experiment.phases import CommandMotion, Decision, Past, Phase, PhaseInput
 from hystmpc.rig.loop import RunOutcome
+from hystmpc.rig.realtime import Clock, MonotonicClock, SimulatedClock
 from hystmpc.rig.run import BenchResult, first_contact, run_bench
 from hystmpc.rig.safety.ramp import waypoint_commands
 from hystmpc.rig.safety.stop import StopFlag
@@ -59,15 +60,21 @@ class Straight:
 
 
 def bench(
-    folder: Path, phases: Sequence[Phase] = (), held: float = 0.0, sink: Callable[[], ListSink] = ListSink, **more: Any
+    folder: Path,
+    phases: Sequence[Phase] = (),
+    held: float = 0.0,
+    sink: Callable[[], ListSink] = ListSink,
+    clock: Clock | None = None,
+    **more: Any,
 ) -> BenchResult:
+    """A run on the simulated clock where none is given."""
     settings = BenchSettings.parse(SETTINGS | {"latch_file": str(folder / "latched.json")} | more)
 
     def plants(block: SimulatedSettings, dt_s: float) -> tuple[Plant, float]:
         del block, dt_s
         return Straight(), held
 
-    return run_bench(settings, lambda: phases, sink, plants, folder=folder)
+    return run_bench(settings, lambda: phases, sink, plants, folder=folder, clock=clock or SimulatedClock())
 
 
 def short(to: float = 0.3) -> CommandMotion:
@@ -75,7 +82,6 @@ def short(to: float = 0.3) -> CommandMotion:
     return CommandMotion("move", lambda held: waypoint_commands(held, [to], [0.05], RAMPS, DT))
 
 
-@pytest.mark.slow
 def test_the_latch_is_set_before_anything_moves_and_released_at_the_end(tmp_path: Path) -> None:
     """A program that is killed leaves it set."""
     found: list[str] = []
@@ -97,7 +103,6 @@ def test_the_latch_is_set_before_anything_moves_and_released_at_the_end(tmp_path
     assert not (tmp_path / "latched.json").exists()
 
 
-@pytest.mark.slow
 def test_a_stop_stays_latched_until_somebody_resets_it(tmp_path: Path) -> None:
     class Failing(Phase):
         name = "failing"
@@ -153,7 +158,7 @@ def test_a_recording_that_takes_long_to_open_does_not_age_what_the_device_holds(
         sinks.append(ListSink())
         return sinks[0]
 
-    assert bench(tmp_path, [short()], held=1.0, sink=slow).outcome.cause == ""
+    assert bench(tmp_path, [short()], held=1.0, sink=slow, clock=MonotonicClock()).outcome.cause == ""
     rows = sinks[0].samples
     assert rows[0].source == "wait"
     first = next(row for row in rows if row.source != "wait")
@@ -202,7 +207,6 @@ def test_no_more_is_claimed_than_the_device_has_said(safe_s: float, confirmed: b
     assert _end_of(BenchSettings.parse(SETTINGS), outcome) == expected
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("bound", "cause"), [(2.0, "implausible: the device is"), (90.0, "")])
 def test_a_device_that_leaves_its_model_stops_the_run(bound: float, cause: str, tmp_path: Path) -> None:
     """A sensor that is 10 deg off what the model says, against a bound below it and one above."""
@@ -231,7 +235,8 @@ def test_a_device_that_leaves_its_model_stops_the_run(bound: float, cause: str, 
         plant, held = make(block, dt_s)
         return Off(plant), held
 
-    result = run_experiment(settings, ListSink, plants)
+    tracking = tracking_phase(settings, threaded=False)
+    result = run_bench(settings, lambda: [tracking], ListSink, plants, clock=SimulatedClock())
     assert result.outcome.cause.startswith(cause)
     assert bool(result.outcome.cause) == bool(cause)
     assert result.outcome.confirmed

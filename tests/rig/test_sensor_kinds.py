@@ -179,11 +179,11 @@ BENCH: dict[str, Any] = {
     "rate_hz": 25,
     "command_unit": "mm",
     "limits": {"lower": 0, "upper": 6, "rate_per_s": 10},
-    "ramps": {"velocity_per_s": 6, "acceleration_per_s2": 60, "jerk_per_s3": 1000},
+    "ramps": {"velocity_per_s": 9, "acceleration_per_s2": 80, "jerk_per_s3": 2000},
     "safe_command": 0,
     "transport": {"kind": "udp", "host": "127.0.0.1", "port": 1},
 }
-REFERENCE = {"kind": "point_to_point", "start_deg": 35, "targets_deg": [50], "holds_s": [1.5]}
+REFERENCE = {"kind": "point_to_point", "start_deg": 35, "targets_deg": [50], "holds_s": [1.0]}
 NONE = {"kind": "none", "rest_deg": 29.0}
 CHECK = {"step": "pretension_check", "by": 1, "least_move_deg": 3, "most_move_deg": 20}
 

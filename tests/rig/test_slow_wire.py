@@ -101,7 +101,7 @@ def run(wire: SlowWire, rate_hz: float, to: float = 3.0, after_s: float = 1.0, *
     clock.ns += NS  # the recording opens
     wire.from_ns = clock.ns + round(after_s * NS)
     loop = control_loop(bench, wire, clock, contact, flag, sink)
-    work = CommandMotion("away", lambda held: waypoint_commands(held, [to], [8.0], RAMPS, bench.dt_s))
+    work = CommandMotion("away", lambda held: waypoint_commands(held, [to], [4.0], RAMPS, bench.dt_s))
     outcome = loop.run([work], contact.newest.received_ns + round(0.5e9 * bench.dt_s))
     steps = [abs(b - a) for (_, a), (_, b) in pairwise([(0, 0.0), *wire.sent])]
     assert max(steps, default=0.0) <= 10.0 * bench.dt_s + 1e-9

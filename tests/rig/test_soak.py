@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from pathlib import Path
 
@@ -12,8 +11,10 @@ import pytest
 
 from hystmpc.rig.safety.stop import StopFlag
 
-from ..conftest import ROOT
 from ..scripts import script
+from .forked import Forked, forked
+
+__all__ = ["forked"]
 
 
 def test_the_sleeper_counts_what_came_later_than_a_period() -> None:
@@ -30,18 +31,15 @@ def test_a_loop_that_is_busy_for_longer_than_a_period_is_late_every_time() -> No
 
 
 @pytest.mark.slow
-def test_a_soak_of_seconds(tmp_path: Path) -> None:
+@pytest.mark.usefixtures("forked")
+def test_a_soak_of_seconds(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """Whether a deadline was missed is the machine's affair; that the figures and the exit code agree is ours."""
-    command = [sys.executable, "lab/benchmarks/soak.py", "--rate", "25", "--minutes", "0.05", "--transport", "udp"]
-    command += ["--blocks", "1,2,4,8"]
-    done = subprocess.run(
-        [*command, "--json", str(tmp_path / "soak.json"), "--out", str(tmp_path / "runs")],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode in (0, 1), done.stderr
+    soak = script("soak")
+    words = ["--rate", "50", "--faster", "2", "--minutes", "0.02", "--transport", "udp", "--blocks", "1,2,4,8"]
+    places = ["--json", str(tmp_path / "soak.json"), "--out", str(tmp_path / "runs")]
+    monkeypatch.setattr(sys, "argv", ["soak.py", *words, *places])
+    monkeypatch.setattr(soak, "start", Forked)
+    code = soak.main()
     (row,) = json.loads((tmp_path / "soak.json").read_text(encoding="utf-8"))
     for run in (row["wire"], row["in_process"]):
         assert run["ended"] == ""
@@ -54,7 +52,7 @@ def test_a_soak_of_seconds(tmp_path: Path) -> None:
         assert run["execution"]["median_s"] <= run["execution"]["p99_s"] <= run["execution"]["greatest_s"]
         assert 0.5 * run["samples"] < run["floor"]["wake_ups"] < 1.5 * run["samples"]
     assert row["ratio"] == pytest.approx(row["wire"]["tracking_deg"] / row["in_process"]["tracking_deg"])
-    assert 0 <= row["spinner"]["late"] <= row["spinner"]["wake_ups"] <= 76
-    assert "move_blocking" in (tmp_path / "runs" / "udp-25hz" / "run.yaml").read_text(encoding="utf-8")
-    assert (done.returncode == 0) == row["passed"] == (row["wire"]["missed"] == 0 and row["ratio"] <= 1.1)
-    assert "udp 25 Hz" in done.stdout
+    assert 0 <= row["spinner"]["late"] <= row["spinner"]["wake_ups"] <= 101
+    assert "move_blocking" in (tmp_path / "runs" / "udp-50hz" / "run.yaml").read_text(encoding="utf-8")
+    assert (code == 0) == row["passed"] == (row["wire"]["missed"] == 0 and row["ratio"] <= 1.1)
+    assert "udp 50 Hz" in capsys.readouterr().out

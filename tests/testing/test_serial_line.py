@@ -18,6 +18,7 @@ from hystmpc.trials.from_outside import ALLOWED
 
 from ..rig.bench_parts import ListSink
 
+QUICK = ("ramps.velocity_per_s=8", "ramps.acceleration_per_s2=80", "excitations.steps.holds_s=[0.2, 0.2, 0.2]")
 FOLDER = Path(__file__).resolve().parents[2] / "examples" / "serial_line"
 
 
@@ -60,8 +61,8 @@ def test_it_records_through_the_loop(example: Any, tmp_path: Path, monkeypatch: 
         thread = threading.Thread(target=example.serve, args=(line, lambda: not over.is_set()))
         thread.start()
         try:
-            port = [f"transport.port={line.port}", f"latch_file={tmp_path / 'latch.json'}"]
-            settings = load_record(FOLDER / "bench.yaml", port)
+            places = [f"transport.port={line.port}", f"latch_file={tmp_path / 'latch.json'}"]
+            settings = load_record(FOLDER / "bench.yaml", [*places, *QUICK])
             result = record(settings, ListSink, lambda block, dt_s: None, tmp_path)  # type: ignore[arg-type,return-value]
         finally:
             over.set()

@@ -24,6 +24,8 @@ from hystmpc.testing import Connected, LoopContract, TransportContract
 from hystmpc.testing.templates import write_template
 from hystmpc.trials.errors import ConfigError
 
+from .test_wires import IN_THE_LOOP
+
 SAME = Conversion(1.0, 0.0, 1.0)
 RUN = CliRunner()
 
@@ -114,8 +116,9 @@ class TestTemplate(Line, TransportContract):
 
 
 @pytest.mark.slow
-class TestTemplateInTheLoop(Line, LoopContract):
-    """As it is written."""
+@pytest.mark.parametrize("law", IN_THE_LOOP)
+def test_the_loop_is_safe_with_the_template(law: str) -> None:
+    getattr(type("Contract", (Line, LoopContract), {})(), law)()
 
 
 def test_the_template_is_short_and_whole(tmp_path: Path) -> None:

@@ -185,6 +185,7 @@ class CardWire(Wired):
 
 WIRES: dict[str, type[Wired]] = {"can_bus": CanWire, "modbus": ModbusWire, "blocking_read": CardWire}
 LAWS = [name for name in dir(TransportContract) if name.startswith("test_")]
+# What depends on the wire; the loop's own laws, which fail a transport before its wire is asked, are tested over UDP.
 IN_THE_LOOP = ("test_a_run_ends_at_the_safe_command", "test_a_read_that_hangs_ends_the_run")
 
 
