@@ -29,6 +29,7 @@ from hystmpc.trials.files import write_atomically
 from .amalgam import ONE_FILE, amalgam
 from .literals import EXACT, INEXACT, functions_called, literal
 from .numbers import LINE, Numbers
+from .straight import straight
 
 ENGINE = (
     "program",
@@ -187,7 +188,13 @@ def _source(problem: Struct, rest: Struct | None, single: bool, lanes: int) -> s
     at_rest = f"&{numbers.put(rest)}" if model is not None and rest is not None else "NULL"
     numbers.put(problem, "exported_problem")
     old, new = _RENAMED
-    macros = {"HYSTMPC_SINGLE": int(single), "HYSTMPC_LANES": lanes, "HYSTMPC_BLOCK": BLOCK, old: new}
+    macros = {
+        "HYSTMPC_SINGLE": int(single),
+        "HYSTMPC_LANES": lanes,
+        "HYSTMPC_BLOCK": BLOCK,
+        "HYSTMPC_STRAIGHT": 1,
+        old: new,
+    }
     return "\n".join(
         [
             *(f"#define {name} {value}" for name, value in macros.items()),
@@ -196,6 +203,7 @@ def _source(problem: Struct, rest: Struct | None, single: bool, lanes: int) -> s
             f"#undef {old}\n\n/* Numbers of this controller. */\n",
             LINE,
             numbers.text,
+            straight(numbers.chains),
             f"static const hystmpc_rest_rule *const exported_rest = {at_rest};\n",
         ]
     )

@@ -15,7 +15,7 @@ INEXACT = ("exp", "log", "log1p", "tanh", "sin", "cos", "pow")
 """Functions of <math.h> whose last digits differ from one C library to the next."""
 
 _CHAIN_HEAD, _STAGE = 8, 9  # numbers of a chain before its outputs, and of a stage; see `core/chain.h`
-_HEAD, _PHASES, _WORDS, _KEPT = 19, 8, 5, 5  # of a table, see `core/program.h`; place of the number of kept values
+_HEAD, _PHASES, _WORDS, _KEPT = 20, 9, 5, 5  # of a table, see `core/program.h`; place of the number of kept values
 
 
 def number(value: float) -> str:

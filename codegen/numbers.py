@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, final
 
 import numpy as np
@@ -13,6 +13,7 @@ from hystmpc.models.networks.route import NetworkRoute
 from hystmpc.trials.errors import ExportError
 
 from .literals import literal
+from .straight import shortened
 
 _WIDTH = 116  # characters of a line
 _SUFFIX: Mapping[str, str] = {"uint32_t": "U", "int64_t": "LL", "uint64_t": "ULL"}
@@ -33,12 +34,16 @@ class Numbers:
     Args:
         single: whether the engine's `real` is float, else double.
         lanes: units of a panel for which the weights of networks are packed, the export's HYSTMPC_LANES.
+
+    Attributes:
+        chains: whole numbers of every chain that was put, by the name of its array, which holds them `shortened`.
     """
 
     def __init__(self, single: bool, lanes: int) -> None:
         self._single, self._lanes = single, lanes
         self._texts: list[str] = []
         self._names: dict[tuple[str, str], str] = {}
+        self.chains: dict[str, list[int]] = {}
 
     @property
     def text(self) -> str:
@@ -84,10 +89,22 @@ class Numbers:
     def _array(self, field: Field, values: Any) -> str:
         if not values.size:
             return ""
+        if field.name == "chain":
+            return self._chain(values.tolist())
         text = _braces(self._number(field.kind, value) for value in values.ravel().tolist())
         if field.stars:
             return self._variable("a", field.kind, "[]", text)
         return text if values.ndim == 1 else _nested(values.shape, text)
+
+    def _chain(self, words: list[int]) -> str:
+        """Name of a chain, without the instructions that are C; two of the same name are the same in full."""
+        for name, other in self.chains.items():
+            if words == other:
+                return name
+        name = f"c{len(self.chains)}"
+        self.chains[name] = words
+        self._texts.append(f"static const int {name}[] = {_braces(map(str, shortened(words)))};")
+        return name
 
     def _number(self, kind: str, value: float) -> str:
         if kind in ("real", "hystmpc_real", "double", "float"):
@@ -104,7 +121,7 @@ class Numbers:
         return self._variable("n", kind, " EXPORTED_LINE", f"{{{_braces(head)},\n {floats}}}")
 
 
-def _braces(texts: Iterator[str] | list[str]) -> str:
+def _braces(texts: Iterable[str]) -> str:
     """Texts in braces, in lines of some width."""
     lines, line = [], "{"
     for text in texts:

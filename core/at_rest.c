@@ -52,7 +52,7 @@ static real rest_stage(const chain_at_rest *c, int stage, real v, real seen) {
     for (int i = 0; i < p.states; i++) registers[p.kept + i] = x[i];
     registers[p.kept + p.states] = v;
     hystmpc_code_single(p.code[PHASE_FIXED], p.length[PHASE_FIXED], registers);
-    hystmpc_code_single(p.code[PHASE_MOVING], p.length[PHASE_MOVING], registers);
+    hystmpc_code_moving(&p, registers);
     return registers[p.results[1]];
 }
 

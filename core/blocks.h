@@ -43,12 +43,13 @@ HYSTMPC_LOCAL long hystmpc_chain_lay_out(chain_run *r, const int *chain, int abr
 HYSTMPC_LOCAL int hystmpc_chain_abreast(int rows);
 
 /* Rows of all stages: kept values of rows n0 ... n0 + count - 1, the last one again in idle lanes; a short run fills no
- * more lanes than its samples need. */
+ * more lanes than its samples need, and a table in C reads those of one sample. `last`: phase up to which it runs. */
 HYSTMPC_LOCAL void hystmpc_chain_bind(const chain_run *r, const real *kept, int kept_rows, int n0, int count,
-                                      int samples);
+                                      int samples, int last);
 
-/* A block of samples of one stage; the states stand in the first column and end in column `samples`. */
-HYSTMPC_LOCAL void hystmpc_chain_run_stage(const chain_stage *s, int g, int samples, int slopes);
+/* A block of samples of one stage, up to phase `last`: behind, slopes or by_parameters; the states stand in the first column
+ * and end in column `samples`. */
+HYSTMPC_LOCAL void hystmpc_chain_run_stage(const chain_stage *s, int g, int samples, int last);
 
 /* The derivatives of a block that ran with its slopes, in all directions; seeds (P, D) of the whole chain. */
 HYSTMPC_LOCAL void hystmpc_chain_move_stage(const chain_run *r, const chain_stage *s, const real *seeds, int samples);

@@ -68,10 +68,12 @@ void hystmpc_chain_prepare(const int *chain, const real *constants, const real *
 
 static int chain_whole_lanes(int lanes) { return (lanes + 3) / 4 * 4; }
 
-void hystmpc_chain_bind(const chain_run *r, const real *kept, int kept_rows, int n0, int count, int samples) {
-    const int g = r->abreast, lanes = samples < HYSTMPC_BLOCK / g ? chain_whole_lanes(samples * g) : HYSTMPC_BLOCK;
+void hystmpc_chain_bind(const chain_run *r, const real *kept, int kept_rows, int n0, int count, int samples,
+                        int last) {
+    const int g = r->abreast, whole = samples < HYSTMPC_BLOCK / g ? chain_whole_lanes(samples * g) : HYSTMPC_BLOCK;
     for (chain_stage *s = r->stage; s < r->stage + r->stages; s++) {
         const hystmpc_code *p = &s->p;
+        const int lanes = p->straight && last == PHASE_BEHIND ? g : whole;
         real *room = s->room, **row = s->row;
         for (int k = 0; k < p->kept; k++, room += CHAIN_STRIDE) {
             const real *value = kept + (s->place[4] + k) * kept_rows;
@@ -88,16 +90,23 @@ void hystmpc_chain_bind(const chain_run *r, const real *kept, int kept_rows, int
     }
 }
 
-void hystmpc_chain_run_stage(const chain_stage *s, int g, int samples, int slopes) {
+void hystmpc_chain_run_stage(const chain_stage *s, int g, int samples, int last) {
     const hystmpc_code *p = &s->p;
     const int lanes = chain_whole_lanes(samples * g);
+    if (p->straight && last == PHASE_BEHIND) {
+        p->straight->run(s->row, g, samples);
+        return;
+    }
+    if (p->straight && last == PHASE_SLOPES && g == 1) {
+        p->straight->slopes(s->row, samples);
+        return;
+    }
     hystmpc_code_lanes(p->code[PHASE_AHEAD], p->length[PHASE_AHEAD], s->row, 0, lanes);
     const int *const through = p->code[PHASE_THROUGH], length = p->length[PHASE_THROUGH];
     if (length && g == 1) hystmpc_code_samples(through, length, s->row, 0, samples);
     else if (length)
         for (int t = 0; t < samples; t++) hystmpc_code_lanes(through, length, s->row, t * g, g);
-    hystmpc_code_lanes(p->code[PHASE_BEHIND], p->length[PHASE_BEHIND], s->row, 0, lanes);
-    if (slopes) hystmpc_code_lanes(p->code[PHASE_SLOPES], p->length[PHASE_SLOPES], s->row, 0, lanes);
+    for (int k = PHASE_BEHIND; k <= last; k++) hystmpc_code_lanes(p->code[k], p->length[k], s->row, 0, lanes);
 }
 
 void hystmpc_chain_go_on(const chain_stage *s, int g, int samples) {
@@ -121,20 +130,22 @@ static void chain_simulate_rows(const chain_run *r, int n0, int count, int sampl
         for (int j = 0; j < r->inputs; j++) {
             const int own = !known || j < r->commands, by_sample = own ? us[1] : 1, by_row = own ? us[2] : 0;
             const real *const from = own ? u + j * us[0] : known + (j - r->commands) * samples;
-            for (int t = 0; t < now; t++)
-                for (int n = 0; n < g; n++)
-                    r->signal[j * CHAIN_STRIDE + t * g + n] =
-                        from[(t0 + t) * by_sample + (n0 + smaller(n, count - 1)) * by_row];
+            for (int n = 0; n < g; n++) {
+                const real *const row = from + t0 * by_sample + (n0 + smaller(n, count - 1)) * by_row;
+                real *const to = r->signal + j * CHAIN_STRIDE + n;
+                for (int t = 0; t < now; t++) to[t * g] = row[t * by_sample];
+            }
         }
         for (const chain_stage *s = r->stage; s < r->stage + r->stages; s++) {
-            hystmpc_chain_run_stage(s, g, now, 0);
+            hystmpc_chain_run_stage(s, g, now, PHASE_BEHIND);
             hystmpc_chain_go_on(s, g, now);
         }
         for (int j = 0; j < r->outputs; j++)
-            for (int t = 0; t < now; t++)
-                for (int n = 0; n < count; n++)
-                    y[j * ys[0] + (t0 + t) * ys[1] + (n0 + n) * ys[2]] =
-                        r->signal[r->shown[j] * CHAIN_STRIDE + t * g + n];
+            for (int n = 0; n < count; n++) {
+                const real *const from = r->signal + r->shown[j] * CHAIN_STRIDE + n;
+                real *const to = y + j * ys[0] + t0 * ys[1] + (n0 + n) * ys[2];
+                for (int t = 0; t < now; t++) to[t * ys[1]] = from[t * g];
+            }
     }
     if (!moves) return;
     for (const chain_stage *s = r->stage; s < r->stage + r->stages; s++)
@@ -150,7 +161,7 @@ void hystmpc_chain_simulate(const int *chain, const real *kept, int kept_rows, i
     hystmpc_chain_lay_out(&r, chain, hystmpc_chain_abreast(rows), 0, memory);
     for (int n0 = 0; n0 < rows; n0 += r.abreast) {
         const int count = smaller(r.abreast, rows - n0);
-        if (n0 == 0 || kept_rows > 1) hystmpc_chain_bind(&r, kept, kept_rows, n0, count, samples);
+        if (n0 == 0 || kept_rows > 1) hystmpc_chain_bind(&r, kept, kept_rows, n0, count, samples, PHASE_BEHIND);
         chain_simulate_rows(&r, n0, count, samples, u, u_stride, known, x, x_stride, moves, y, y_stride);
     }
 }

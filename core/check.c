@@ -8,7 +8,7 @@
 
 #include <stdint.h>
 
-enum { CHECK_MOST = 1 << 20, CHECK_SIGNALS = 4096, CHECK_WORD = 32, CHECK_TABLE = 19, CHECK_SIZES = 10 };
+enum { CHECK_MOST = 1 << 20, CHECK_SIGNALS = 4096, CHECK_WORD = 32, CHECK_TABLE = 20, CHECK_SIZES = 10 };
 
 /* A block, and what its stages have taken so far. */
 typedef struct {
@@ -102,7 +102,7 @@ static int check_table(const check_block *b, int at, int constants, int resting,
     const int64_t rows = p->kept + 2 * (int64_t)p->states + p->inputs + p->outputs;
     const int64_t registers = p->parameters + 1 + (int64_t)constants, single = p->kept + (int64_t)p->states + p->inputs;
     int64_t used[3] = {rows, registers + p->length[PHASE_ONCE], single};
-    for (int k = PHASE_AHEAD; k <= PHASE_SLOPES; k++) used[0] += p->length[k];
+    for (int k = PHASE_AHEAD; k <= PHASE_BY_PARAMETERS; k++) used[0] += p->length[k];
     for (int k = PHASE_FIXED; k <= PHASE_REST; k++) used[2] += p->length[k];
     if (p->inputs < 1) return HYSTMPC_FAULT_COUNT;
     if (!check_within(p->rows, rows, used[0] + 1) || !check_within(p->registers, registers, used[1] + 1) ||
@@ -113,7 +113,7 @@ static int check_table(const check_block *b, int at, int constants, int resting,
     for (int k = 0; k <= p->outputs + (resting ? 0 : p->states); k++)
         if (!check_within(p->results[k], k ? 0 : -1, p->single)) return HYSTMPC_FAULT_REGISTER;
     fault = check_single(p->code[PHASE_ONCE], p->length[PHASE_ONCE], p->registers);
-    for (int k = PHASE_AHEAD; k <= PHASE_SLOPES && !fault; k++) fault = check_rows(p, (enum hystmpc_phase)k);
+    for (int k = PHASE_AHEAD; k <= PHASE_BY_PARAMETERS && !fault; k++) fault = check_rows(p, (enum hystmpc_phase)k);
     for (int k = PHASE_FIXED; k <= PHASE_REST && !fault; k++)
         fault = check_single(p->code[k], p->length[k], p->single);
     return fault ? fault : check_slopes(p);

@@ -37,7 +37,7 @@ real hystmpc_single_angle(const single_chain *c, real u, real *slope) {
     *slope = R(1.0);
     for (const single_stage *s = c->stage; s < c->stage + c->stages; s++) {
         s->state[s->p.states] = u;
-        hystmpc_code_single(s->p.code[PHASE_MOVING], s->p.length[PHASE_MOVING], s->registers);
+        hystmpc_code_moving(&s->p, s->registers);
         *slope = s->p.results[0] < 0 ? R(0.0) : *slope * s->registers[s->p.results[0]];
         u = s->registers[s->p.results[1]];
     }

@@ -189,19 +189,21 @@ static void add_moves(hystmpc_qp *q, const hystmpc_law *l, const hystmpc_task *t
 static void add_tracking(hystmpc_qp *q, const hystmpc_law *l, const hystmpc_task *t, const real *angles,
                          const real *columns) {
     const int samples = l->horizon, n = q->unknowns;
+    real *const weighted = q->at; /* (H) */
     int u = 0;
     for (const hystmpc_law *i = l; law_moves(i); i = i->next)
         for (int b = 0; b < i->moves; b++, u++) {
-            real *const hessian = q->hessian + u * n, total = q->gradient[u];
+            const int first = i->starts[b];
             const real *angle = angles, *slopes = columns;
             const hystmpc_task *aim = t;
-            for (const hystmpc_law *o = l; law_tracks(o); o = o->next, aim = aim->next, angle += samples)
-                for (int k = 0; k < samples; k++, slopes += n) {
-                    if (k < i->starts[b]) continue;
-                    const real weighted = R(2.0) * o->tracking[k] * slopes[u];
-                    total += weighted * (angle[k] - aim->reference[k]);
-                    for (int v = 0; v <= u; v++) hessian[v] += weighted * slopes[v];
+            real total = q->gradient[u];
+            for (const hystmpc_law *o = l; law_tracks(o); o = o->next, aim = aim->next, angle += samples, slopes += samples * n) {
+                for (int k = first; k < samples; k++) {
+                    weighted[k] = R(2.0) * o->tracking[k] * slopes[k * n + u];
+                    total += weighted[k] * (angle[k] - aim->reference[k]);
                 }
+                add_rows(q->hessian + u * n, u + 1, weighted + first, 1, slopes + first * n, n, samples - first);
+            }
             q->gradient[u] = total;
         }
 }
@@ -286,9 +288,10 @@ HYSTMPC_LOCAL void hystmpc_after_moves(const hystmpc_law *l, const hystmpc_task 
     for (const hystmpc_law *i = l; law_moves(i); i = i->next, last = last->next, limited += samples)
         hystmpc_clip_plan(samples, i->lower, i->upper, i->reach, last->u_last, limited);
     for (int row = 0; row < rows; row++, jacobian += width) {
-        foreseen[row] = angles[row];
-        for (int j = 0; j < width; j++)
-            if (j % samples <= row % samples) foreseen[row] += jacobian[j] * (plan[j] - commands[j]);
+        real angle = angles[row];
+        for (int first = 0; first < width; first += samples)
+            for (int j = first; j <= first + row % samples; j++) angle += jacobian[j] * (plan[j] - commands[j]);
+        foreseen[row] = angle;
     }
     *cost = hystmpc_plan_cost(l, t, plan, foreseen);
 }

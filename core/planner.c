@@ -116,8 +116,10 @@ int hystmpc_improve(const void *planner, const void *model, const real *x, const
     if (rounds < PLANNER_LEARNED_ROUNDS && hystmpc_model_acts(model, x)) rounds = PLANNER_LEARNED_ROUNDS;
     planner_lay_out(&w, room);
     for (int round = 0; round < rounds && answer >= 0; round++) {
+        const real before = ((const hystmpc_plan *)best)->cost;
         answer = planner_step(&w, best);
         if (answer >= 0 && planner_search(&w, best)) answer = HYSTMPC_NO_ANSWER;
+        if (!(((const hystmpc_plan *)best)->cost < before)) break; /* around the same plan a round is the same */
     }
     return answer;
 }

@@ -123,8 +123,7 @@ int hystmpc_predictor_run(const void *predictor, const real *x, int rows, int sa
 static void tree_chain_rule(real *by, const real *inner, int samples, real *row) {
     for (int i = 0; i < samples; i++, by += samples) {
         fill(row, R(0.0), i + 1);
-        for (int k = 0; k <= i; k++)
-            for (int j = 0; j <= k; j++) row[j] += by[k] * inner[(long)k * samples + j];
+        add_rows(row, i + 1, by, 1, inner, samples, i + 1); /* zeros above the diagonal of `inner` */
         copy(row, by, i + 1);
     }
 }

@@ -194,6 +194,19 @@ static int most_violated(hystmpc_qp *q, real *side) {
     return worst;
 }
 
+/* The point without any row, as the primal; whether it fulfils all rows. Then nothing else has to be computed: most steps
+ * of a controller end here. */
+static int unbounded_fits(hystmpc_qp *q) {
+    const int n = q->unknowns, rows = q->rows;
+    int fits = 1;
+    for (int k = 0; k < n; k++) q->primal[k] = R(0.0) - q->shift[k];
+    solve_lower(q->hessian, n, n, q->primal);
+    fill(q->at, R(0.0), rows);
+    add_rows(q->at, rows, q->primal, 1, q->columns, rows, n);
+    for (int r = 0; r < rows; r++) fits &= q->lower[r] <= q->at[r] && q->at[r] <= q->upper[r];
+    return fits && all_finite(q->primal, n);
+}
+
 HYSTMPC_LOCAL int hystmpc_solve_qp(hystmpc_qp *q, int changes) {
     const int n = q->unknowns, rows = q->rows;
     int change = 0;
@@ -201,6 +214,7 @@ HYSTMPC_LOCAL int hystmpc_solve_qp(hystmpc_qp *q, int changes) {
     if (!factorise(q->hessian, n, n)) return HYSTMPC_QP_NOT_CONVEX;
     copy(q->gradient, q->shift, n);
     solve_upper(q->hessian, n, n, q->shift);
+    if (unbounded_fits(q)) return 0;
     for (int j = n - 1, before = rows; j >= 0; j--) {
         int r = 0;
         while (r < before && q->columns[j * rows + r] == R(0.0)) r++;

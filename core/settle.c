@@ -55,7 +55,7 @@ static void settle_stage(const settling *c, int k) {
                 r->moves[(first + i) * d + q] = (n > 0 && r->moves[(first + i) * d + q]) || by != R(0.0);
             }
         }
-    hystmpc_chain_run_stage(s, g, 1, 1);
+    hystmpc_chain_run_stage(s, g, 1, PHASE_BY_PARAMETERS);
     hystmpc_chain_move_stage(r, s, c->seeds, 1);
     if (holds)
         for (int n = 0; n < g; n++) c->shown[n] = r->signal[s->wires[s->p.inputs] * CHAIN_STRIDE + n];
@@ -162,7 +162,7 @@ void hystmpc_chain_settle(const int *chain, const real *constants, const real *k
     for (int n = 0; n < g; n++) c.in[n] = c.shown[n] = R(0.0);
     for (int i = 0; i < c.r.states * g * d; i++) c.m[i] = R(0.0);
     for (int i = 0; i < c.r.states * g; i++) c.x[i] = R(0.0);
-    hystmpc_chain_bind(&c.r, kept, 1, 0, 1, 1);
+    hystmpc_chain_bind(&c.r, kept, 1, 0, 1, 1, PHASE_BY_PARAMETERS);
     for (int n0 = 0; n0 < rows; n0 += g) {
         c.n0 = n0, c.count = smaller(g, rows - n0);
         for (int n = 0; n < g; n++) c.at[n] = y[n0 + smaller(n, c.count - 1)];

@@ -250,7 +250,7 @@ static void differentiate_runs(const chain_run *r, const group_of_runs *c) {
         const int samples = smaller(block, longest - t0);
         load_block(r, c, t0, samples);
         for (const chain_stage *s = r->stage; s < r->stage + r->stages; s++) {
-            hystmpc_chain_run_stage(s, g, samples, 1);
+            hystmpc_chain_run_stage(s, g, samples, PHASE_BY_PARAMETERS);
             hystmpc_chain_move_stage(r, s, c->seeds, samples);
         }
         store_block(r, c, t0, samples);
@@ -261,12 +261,9 @@ static void differentiate_runs(const chain_run *r, const group_of_runs *c) {
 /* One run in which every command is a direction: sample after sample, the directions that have begun side by side, those
  * of one sample together. Each number is the sum of the same terms in the same order as above; what does not depend on the
  * sample is listed once. */
-enum { TERM_FIRST, TERM_ADDED, TERM_AFTER_NONE };
-
 typedef struct {
-    const real *slope, *factor; /* (block), (stride) */
-    real *to;                   /* (stride) */
-    int kind;
+    const real *slope, *factor; /* (block), (stride); a first factor that is null: the sum begins with zero */
+    real *to;                   /* (stride): in the last term of a sum, else null */
 } command_term;
 
 typedef struct {
@@ -277,30 +274,37 @@ typedef struct {
     int *acts; /* (S): whether a command reaches a state */
 } by_commands;
 
-static int commands_abreast(int count) { return (count + 3) / 4 * 4; }
+enum { COMMANDS_ABREAST = 8 };
 
-static int slopes_of(const int *chain) {
+static int commands_abreast(int count) { return (count + COMMANDS_ABREAST - 1) / COMMANDS_ABREAST * COMMANDS_ABREAST; }
+
+/* Terms that may be listed, however often a state stands in a group; the sum of a state may begin with zero. */
+static size_t terms_of(const int *chain) {
     const int *place = chain + CHAIN_HEAD + chain[6];
-    int count = 0;
+    size_t count = 0;
     for (int k = 0; k < chain[0]; k++, place += CHAIN_STAGE) {
         hystmpc_code p;
         hystmpc_code_read(chain + place[0], &p);
-        count += p.slopes;
+        const int *group = p.group;
+        for (int n = 0; n < p.groups; n++, group += 1 + *group)
+            for (int i = 1; i <= *group; i++) count += 1 + (size_t)(p.first[group[i] + 1] - p.first[group[i]]);
+        count += (size_t)(p.first[p.states + p.outputs] - p.first[p.states]);
     }
     return count;
 }
 
 /* Bytes of memory, all of it zero at first; null for memory: the bytes alone. */
 static long lay_out_commands(by_commands *b, const int *chain, int samples, char *memory) {
-    const int stride = commands_abreast((chain[5] - chain[7]) * samples), slopes = slopes_of(chain), states = chain[1], signals = chain[4];
+    const int stride = commands_abreast((chain[5] - chain[7]) * samples), states = chain[1], signals = chain[4];
     const long numbers = (long)stride * (2 * states + signals);
-    const size_t bytes = (size_t)numbers * sizeof(real) + (size_t)slopes * sizeof(command_term) +
+    const size_t terms = terms_of(chain);
+    const size_t bytes = (size_t)numbers * sizeof(real) + terms * sizeof(command_term) +
                          (size_t)states * sizeof(int);
     if (!memory) return (long)bytes;
     memset(memory, 0, bytes);
     b->stride = stride, b->terms = 0;
     b->term = (command_term *)(void *)memory;
-    b->now = (real *)(void *)(b->term + slopes);
+    b->now = (real *)(void *)(b->term + terms);
     b->next = b->now + states * stride, b->signal = b->next + states * stride;
     b->acts = (int *)(void *)(b->now + numbers);
     return (long)bytes;
@@ -315,17 +319,17 @@ static const real *factor_of(const by_commands *b, const chain_stage *s, const i
 
 /* Terms of a state or an output, those by states of a state's own group last. */
 static void list_terms(by_commands *b, const chain_stage *s, int value, const int *group, real *to) {
-    int kind = TERM_FIRST;
+    const int begin = b->terms;
     for (int within = 0; within < 2; within++) {
         for (int q = s->p.first[value]; q < s->p.first[value + 1]; q++) {
             const int *slope = s->p.slope + 3 * q;
             const real *factor = factor_of(b, s, slope);
             if (!factor || within != (group && slope[0] == BY_STATE && is_in(group, slope[1]))) continue;
-            b->term[b->terms++] = (command_term){s->row[slope[2]], factor, to, kind};
-            kind = TERM_ADDED;
+            if (within && b->terms == begin) b->term[b->terms++] = (command_term){NULL, NULL, NULL};
+            b->term[b->terms++] = (command_term){s->row[slope[2]], factor, NULL};
         }
-        if (kind == TERM_FIRST) kind = TERM_AFTER_NONE;
     }
+    if (b->terms > begin) b->term[b->terms - 1].to = to;
 }
 
 static void list_stage(by_commands *b, const chain_stage *s) {
@@ -344,9 +348,20 @@ static void list_stage(by_commands *b, const chain_stage *s) {
         list_terms(b, s, p->states + o, NULL, b->signal + s->wires[p->inputs + o] * b->stride);
 }
 
-static void add_command_term(const command_term *term, int t, int lanes) {
-    for (int l = 0; l < lanes && term->kind == TERM_AFTER_NONE; l++) term->to[l] = R(0.0);
-    add_multiple(term->to, term->factor, term->slope[t], 0, lanes, term->kind != TERM_FIRST);
+/* One sum by so many commands, some of them at a time in registers; answers its last term. */
+static const command_term *sum_terms(const command_term *first, int t, int lanes) {
+    const command_term *last = first;
+    while (!last->to) last++;
+    for (int l = 0; l < lanes; l += COMMANDS_ABREAST) {
+        real sum[COMMANDS_ABREAST];
+        for (int i = 0; i < COMMANDS_ABREAST; i++) sum[i] = first->factor ? first->slope[t] * first->factor[l + i] : R(0.0);
+        for (const command_term *term = first + 1; term <= last; term++) {
+            const real slope = term->slope[t], *factor = term->factor + l;
+            for (int i = 0; i < COMMANDS_ABREAST; i++) sum[i] += slope * factor[i];
+        }
+        for (int i = 0; i < COMMANDS_ABREAST; i++) last->to[l + i] = sum[i];
+    }
+    return last;
 }
 
 /* All signals in sample t of a block by the first `count` commands, of which the last `inputs` act for the first time. */
@@ -358,8 +373,9 @@ static void linearise_sample(const by_commands *b, int t, int count, int inputs)
     }
     for (int i = 0; i < states; i++)
         for (int q = begun; q < count; q++) b->now[i * stride + q] = R(0.0);
-    for (const command_term *term = b->term; term < b->term + b->terms; term++) add_command_term(term, t, lanes);
-    for (int l = 0; l < states * stride; l++) b->now[l] = b->next[l];
+    for (const command_term *term = b->term; term < b->term + b->terms; term++) term = sum_terms(term, t, lanes);
+    for (int i = 0; i < states; i++)
+        for (int l = 0; l < lanes; l++) b->now[i * stride + l] = b->next[i * stride + l];
 }
 
 /* Angles of one sample, and their derivatives by the first `count` commands; rows of dy (ny H, nu H). */
@@ -371,8 +387,10 @@ static void store_sample(const by_commands *b, int t, int sample, int samples, i
         const real *by = b->signal + r->shown[o] * b->stride;
         real *to = dy + (long)row * directions;
         y[row] = r->signal[r->shown[o] * CHAIN_STRIDE + t];
-        for (int j = 0; j < inputs; j++)
-            for (int q = 0; q < samples; q++) to[j * samples + q] = q <= sample ? by[q * inputs + j] : R(0.0);
+        for (int j = 0; j < inputs; j++, to += samples) {
+            for (int q = 0; q <= sample; q++) to[q] = by[q * inputs + j];
+            for (int q = sample + 1; q < samples; q++) to[q] = R(0.0);
+        }
     }
 }
 
@@ -387,7 +405,7 @@ void hystmpc_chain_linearise(const int *chain, const real *kept, const real *x, 
         for (int i = 0; i < chain[6] * samples * inputs * samples; i++) dy[i] = (real)NAN;
         return;
     }
-    hystmpc_chain_bind(&r, kept, 1, 0, 1, samples);
+    hystmpc_chain_bind(&r, kept, 1, 0, 1, samples, PHASE_SLOPES);
     for (const chain_stage *s = r.stage; s < r.stage + r.stages; s++) {
         list_stage(&b, s);
         for (int i = 0; i < s->p.states; i++) s->state[i * (CHAIN_STRIDE + 1)] = x[s->place[2] + i];
@@ -398,7 +416,7 @@ void hystmpc_chain_linearise(const int *chain, const real *kept, const real *x, 
             const real *from = j < inputs ? plan + j * samples : known + (j - inputs) * samples;
             for (int t = 0; t < now; t++) r.signal[j * CHAIN_STRIDE + t] = from[t0 + t];
         }
-        for (const chain_stage *s = r.stage; s < r.stage + r.stages; s++) hystmpc_chain_run_stage(s, 1, now, 1);
+        for (const chain_stage *s = r.stage; s < r.stage + r.stages; s++) hystmpc_chain_run_stage(s, 1, now, PHASE_SLOPES);
         for (int t = 0; t < now; t++) {
             linearise_sample(&b, t, (t0 + t + 1) * inputs, inputs);
             store_sample(&b, t, t0 + t, samples, inputs, y, dy);
@@ -420,7 +438,7 @@ void hystmpc_chain_differentiate(const int *chain, const real *kept, int rows, c
     int longest = 0;
     for (int n = 0; n < rows; n++)
         if (first[n + 1] - first[n] > longest) longest = first[n + 1] - first[n];
-    hystmpc_chain_bind(&r, kept, 1, 0, 1, longest);
+    hystmpc_chain_bind(&r, kept, 1, 0, 1, longest, PHASE_BY_PARAMETERS);
     for (int n0 = 0; n0 < rows; n0 += r.abreast) {
         const group_of_runs c = {.first = first + n0, .n0 = n0, .count = smaller(r.abreast, rows - n0), .runs = rows,
                                  .samples = first[rows], .u = u, .du = du, .seeds = seeds, .x = x, .m = m, .y = y, .dy = dy};

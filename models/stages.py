@@ -7,7 +7,8 @@ need no loop over time:
     ahead    the input: for all samples of a block together
     through  the state, and the next state needs them: one sample after the other
     behind   the state, but only the output needs them: all samples together
-    slopes   derivatives by state, input and parameters, where they are not zero by structure: all samples together
+    slopes   derivatives by state and input, where they are not zero by structure: all samples together
+    by parameters    derivatives by parameters, likewise: a controller needs none
 
 `core/program.h` describes the numbers that a program consists of.
 """
@@ -177,8 +178,11 @@ class _Phases:
         self.ahead = self._in_order([v for v in inner if plain[v] and not constant[v] and not by_state[v]])
         self.through = [v for v in inner if plain[v] and by_state[v] and next_state[v]]
         self.behind = [v for v in inner if plain[v] and by_state[v] and not next_state[v]]
-        self.slopes = [v for v in inner if not plain[v] and not constant[v]]
-        used = [a for v in (*self.ahead, *self.through, *self.behind, *self.slopes) for a in self.read[v]]
+        by_signals = self.values.behind([t.value for t in self.terms if t.by != _P])
+        self.slopes = [v for v in inner if not plain[v] and not constant[v] and by_signals[v]]
+        self.by_parameters = [v for v in inner if not plain[v] and not constant[v] and not by_signals[v]]
+        self.derived = [*self.slopes, *self.by_parameters]
+        used = [a for v in (*self.ahead, *self.through, *self.behind, *self.derived) for a in self.read[v]]
         used += [*self.outputs, *self.following, *(t.value for t in self.terms)]
         self.kept = sorted({v for v in used if constant[v]})
         self.constants = [step.value for step in self.steps if step.name == "const"]
@@ -205,7 +209,7 @@ class _Phases:
         """The numbers of `core/program.h`; sizes: states, inputs, parameters, outputs."""
         rows = _Rows(self, sizes)
         once = self._once_code(sizes)
-        phases = [rows.code(part) for part in (self.ahead, self.through, self.behind, self.slopes)]
+        phases = [rows.code(part) for part in (self.ahead, self.through, self.behind, self.slopes, self.by_parameters)]
         phases[0] = rows.with_early_moves(phases[0])
         phases[1] += rows.through_moves
         phases[2] += rows.late
@@ -334,7 +338,7 @@ class _Rows:
     def _give_rooms(self, through: set[int], ahead: set[int]) -> None:
         """Rooms for the other values, from the first instruction that writes to the last one that reads."""
         p = self._phases
-        order = [*p.ahead, *p.through, *p.behind, *p.slopes]
+        order = [*p.ahead, *p.through, *p.behind, *p.derived]
         last = self._last_reads(order, through, ahead)
         rooms: list[int] = []  # position after which each room is free
         for k, v in enumerate(order):

@@ -25,7 +25,7 @@ PROGRAM = Path(__file__).with_name("fuzzed_chains.c")
 NEEDED = ("check", "program", "chain", "slopes", "rest", "settle", "inverse", "follow", "drive", "moves")
 FILES = [f"{name}.c" for name in NEEDED]
 BLOCKS = 3000
-HEAD = 19
+HEAD = 20
 STATES, INPUTS, PARAMETERS, OUTPUTS, KEPT, ROWS, SLOPES, GROUPS, REGISTERS, SINGLE = range(1, 11)
 ONCE, AHEAD, THROUGH = range(11, 14)
 CODE: list[ChainCode] = [chain_code([*c.before, c.core, *c.after]) for c in (*CHAINS.values(), WITH_EFFECTS)]
@@ -71,7 +71,7 @@ def onto_the_state_before(table: np.ndarray) -> None:
 
 
 WRONG: dict[str, tuple[Callable[[np.ndarray], None], str]] = {
-    "a table of another form": (put(0, 0, 20), "counts from zero"),
+    "a table of another form": (put(0, 0, 19), "counts from zero"),
     "fewer than no states": (put(STATES, 0, -1), "counts from zero"),
     "a million plays": (put(STATES, 0, 1 << 20), "counts from zero"),
     "more code than numbers": (put(THROUGH, 0, 100_000), "parts within the block"),
