@@ -44,13 +44,13 @@ static void prior_weights(const hystmpc_noise *n, real *w) {
         for (int i = 0; i < models; i++) w[j * models + i] = n->by_sensor[j] * n->by_model[i];
 }
 
-HYSTMPC_LOCAL real hystmpc_noise_init(const hystmpc_noise *n, real *bank, real disturbance) {
+HYSTMPC_LOCAL real hystmpc_noise_init(const hystmpc_noise *n, real *bank) {
     const int models = bank_models(n), count = n->sensors * models;
     real *d = bank, *p = bank + count, *w = p + count, total;
     prior_weights(n, w);
     for (int i = 0; i < count; i++) {
-        d[i] = disturbance;
-        p[i] = n->first_variances[i % models];
+        d[i] = R(0.0);
+        p[i] = n->most_variances[i % models];
     }
     BANK_SUM(total, count, w[i] * p[i])
     return total;
@@ -58,8 +58,8 @@ HYSTMPC_LOCAL real hystmpc_noise_init(const hystmpc_noise *n, real *bank, real d
 
 /* Every filter of one sensor with a measurement used, its weight by how well it foretold it. */
 static void correct_filters(const hystmpc_noise *n, real *restrict d, real *restrict p, real *restrict w, int count,
-                            real noise, real offset) {
-    const real most_gain = n->most_gain, limit = n->limit;
+                            real noise, real offset, real most_gain) {
+    const real limit = n->limit;
     for (int i = 0; i < count; i++) {
         const real before = p[i], spread = before + noise, error = offset - d[i];
         const real by_spread = R(1.0) / spread;
@@ -74,11 +74,11 @@ static void correct_filters(const hystmpc_noise *n, real *restrict d, real *rest
 
 /* After the filters all weights are mixed with their prior, since how wrong the model is may change (a jump Markov
  * model: Blom and Bar-Shalom, IEEE Transactions on Automatic Control 33, 1988, without their mixing of the filters). */
-HYSTMPC_LOCAL real hystmpc_noise_correct(const hystmpc_noise *n, real *bank, real offset, real *mean) {
+HYSTMPC_LOCAL real hystmpc_noise_correct(const hystmpc_noise *n, real *bank, real offset, real most_gain, real *mean) {
     const int models = bank_models(n), count = n->sensors * models;
     real *d = bank, *p = bank + count, *w = p + count, total, off;
     for (int j = 0, at = 0; j < n->sensors; j++, at += models)
-        correct_filters(n, d + at, p + at, w + at, models, n->sensor_variances[j], offset);
+        correct_filters(n, d + at, p + at, w + at, models, n->sensor_variances[j], offset, most_gain);
     BANK_SUM(total, count, w[i])
     if (!(total > BANK_LEAST_WEIGHT)) { /* none has foretold it at all: as before anything was seen */
         prior_weights(n, w);
@@ -96,16 +96,28 @@ HYSTMPC_LOCAL real hystmpc_noise_correct(const hystmpc_noise *n, real *bank, rea
     return mixed_variance(bank, count, *mean);
 }
 
+/* d <- f d, P <- f^2 (P + q), f^2 = 1 / (1 + q / s^2), q the variance of the step and s^2 the greatest one: a walk that
+ * returns to zero, of variance s^2 at any time. */
 HYSTMPC_LOCAL real hystmpc_noise_advance(const hystmpc_noise *n, real *bank, real travel, real mean) {
-    const int count = n->sensors * bank_models(n);
-    for (int j = 0; j < n->sensors * n->drifts; j++) {
-        const int at = j % n->drifts;
-        const real drift = n->drift_variances[at], *most_variance = n->most_variances + at * n->motions;
-        real *p = bank + count + j * n->motions;
-        for (int i = 0; i < n->motions; i++)
-            p[i] = least(p[i] + drift + n->motion_variances[i] * travel, most_variance[i]);
+    const int models = bank_models(n), count = n->sensors * models;
+    for (int i = 0; i < models; i++) {
+        const real step = n->drift_variances[i / n->motions] + n->motion_variances[i % n->motions] * travel;
+        const real squared = R(1.0) / (R(1.0) + step / n->most_variances[i]), kept = MATH(sqrt)(squared);
+        for (int j = i; j < count; j += models) {
+            bank[j] *= kept;
+            bank[count + j] = squared * (bank[count + j] + step);
+        }
     }
     return mixed_variance(bank, count, mean);
+}
+
+HYSTMPC_LOCAL real hystmpc_noise_close(const hystmpc_noise *n, const real *bank) {
+    const int models = bank_models(n), far = (n->drifts - n->close) * n->motions;
+    const real *w = bank + 2 * n->sensors * models;
+    real total = R(0.0);
+    for (int j = 0; j < n->sensors; j++)
+        for (int i = far; i < models; i++) total += w[j * models + i];
+    return total;
 }
 
 #undef BANK_BY_FREEDOM

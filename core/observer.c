@@ -131,14 +131,15 @@ static void observer_start(const hystmpc_sensing *s, const hystmpc_extent *n, hy
     memset(e->known, 0, sizeof *e->known);
     e->known->command = u;
     e->known->measured = s->sensor == HYSTMPC_NO_SENSOR ? angle : y;
-    if (s->sensor == HYSTMPC_CONTINUOUS) e->known->disturbance = y - angle;
     if (n->states) memcpy(e->model, x, sizeof(real) * (size_t)n->states);
     for (int k = 0; k < n->angles; k++) {
         e->angles[k] = angle;
         e->responsive[k] = R(1.0);
         e->moves[k] = R(0.0);
     }
-    if (n->bank) e->known->variance = hystmpc_noise_init(s->noise, e->bank, e->known->disturbance);
+    if (n->bank) e->known->variance = hystmpc_noise_init(s->noise, e->bank);
+    if (n->bank && s->sensor == HYSTMPC_CONTINUOUS)
+        e->known->variance = hystmpc_noise_correct(s->noise, e->bank, y - angle, R(1.0), &e->known->disturbance);
 }
 
 /* The whole's angles from those of the model alone and what is learned. */
@@ -208,7 +209,7 @@ HYSTMPC_LOCAL void hystmpc_estimate_correct(const hystmpc_sensing *s, const hyst
     if (e->responsive[0] == R(0.0) || !filters) return;
     if (s->sensor == HYSTMPC_FRAMES)
         for (int i = 0; i < filters; i++) before += e->bank[i] * e->bank[2 * filters + i];
-    const real variance = hystmpc_noise_correct(s->noise, e->bank, offset, &mean);
+    const real variance = hystmpc_noise_correct(s->noise, e->bank, offset, s->noise->most_gain, &mean);
     if (s->sensor == HYSTMPC_FRAMES) {
         known->earned[0] += before * offset;
         known->earned[1] += before * before;
@@ -269,7 +270,7 @@ static void observer_correct_learned(const hystmpc_sensing *s, const hystmpc_mod
     const real change = l->added[0] - before;
     for (int i = 0; i < n->bank / 3; i++) o->now.bank[i] -= change;
     if (o->alone.responsive[0] == R(0.0) || !n->bank) whole->disturbance -= change;
-    else whole->variance = hystmpc_noise_correct(s->noise, o->now.bank, offset - change, &whole->disturbance);
+    else whole->variance = hystmpc_noise_correct(s->noise, o->now.bank, offset - change, s->noise->most_gain, &whole->disturbance);
 }
 
 static void observer_correct_newest(const hystmpc_sensing *s, hystmpc_known *known, real y) {
@@ -356,4 +357,9 @@ HYSTMPC_LOCAL real hystmpc_observer_sigma(const hystmpc_sensing *s, const hystmp
     const hystmpc_noise *b = s->noise;
     const hystmpc_extent n = {0, 0, b ? 3 * b->sensors * b->drifts * b->motions : 0, 0};
     return MATH(sqrt)(o->now.known->variance) * hystmpc_believed(s, &n, &o->now);
+}
+
+HYSTMPC_LOCAL real hystmpc_observer_close(const hystmpc_sensing *s, const hystmpc_observed *o) {
+    if (s->sensor == HYSTMPC_NO_SENSOR) return R(1.0);
+    return s->noise ? hystmpc_noise_close(s->noise, o->now.bank) : R(0.0);
 }

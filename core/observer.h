@@ -134,6 +134,9 @@ HYSTMPC_LOCAL void hystmpc_observer_state(const hystmpc_sensing *s, const hystmp
 HYSTMPC_LOCAL real hystmpc_observer_age(const hystmpc_observed *o);
 HYSTMPC_LOCAL real hystmpc_observer_sigma(const hystmpc_sensing *s, const hystmpc_observed *o);
 
+/* Probability that the model is as close to the device as its file says; 1 without a sensor. */
+HYSTMPC_LOCAL real hystmpc_observer_close(const hystmpc_sensing *s, const hystmpc_observed *o);
+
 /* The same for Python, which has the memory alone (observing.c); `model` may be null. */
 HYSTMPC_API long hystmpc_observing_bytes(const void *sensing, const void *model);
 HYSTMPC_API long hystmpc_observing_room(const void *sensing, const void *model);

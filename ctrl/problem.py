@@ -155,6 +155,7 @@ def _law(settings: LawSettings, device: _Modelled, solve: Callable[..., int] | N
         kind=kinds["HYSTMPC_FEEDFORWARD_PID" if fed_back else "HYSTMPC_FEEDFORWARD"],
         horizon=horizon,
         planner=_preview(device, horizon) if late else None,
+        rate_weight=_preview_rate(device),
         candidates=candidates_over(horizon),
         angle_low=-math.inf,
         angle_high=math.inf,
@@ -181,6 +182,8 @@ def _predictive(settings: PredictiveSettings, device: _Modelled, solve: Callable
         horizon=horizon,
         planner=_planner(settings, device, horizon, solve),
         candidates=candidates_over(horizon),
+        rate_weight=settings.weights.rate,
+        close_rate_weight=settings.weights.rate_close,
         angle_low=low,
         angle_high=high,
         slope=device.slope,
@@ -251,14 +254,19 @@ def _planner(settings: PredictiveSettings, device: _Modelled, horizon: int, solv
     )
 
 
+def _preview_rate(device: _Modelled) -> float:
+    """Weight on moves of the inverse over a preview."""
+    rate = _STEADY_RATE_WEIGHT if inverted_after_a_hold(device.inverted) else _RATE_WEIGHT
+    return rate * (_BASE_DT_S / device.dt) ** 2
+
+
 def _preview(device: _Modelled, horizon: int) -> Struct:
     """Inverse over a preview: argmin over admissible u of sum_k (theta_k(u) - r_k)^2, with a small weight on moves.
 
     It is the problem of the linearised controller without a disturbance. An inverse sample by sample would send u = v +
     (w - v) / a to a lag with step response a < 1, which amplifies every deviation; a delay has no such inverse.
     """
-    rate = _STEADY_RATE_WEIGHT if inverted_after_a_hold(device.inverted) else _RATE_WEIGHT
-    weights = WeightsSettings(terminal=1.0, rate=rate * (_BASE_DT_S / device.dt) ** 2, effort=0.0)
+    weights = WeightsSettings(terminal=1.0, effort=0.0)
     return struct(
         "hystmpc_planner",
         kind=constants()["HYSTMPC_LINEARISED"],

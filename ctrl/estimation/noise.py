@@ -21,11 +21,11 @@ _SENSOR_FACTORS: Vec = 2.0 ** np.arange(-3.0, 3.1, 0.5)  # factors on the prior 
 _DRIFT: Vec = 0.001 * 3.0 ** np.arange(8, dtype=np.float64)  # deg/sqrt(s), up to 2.2
 _MOTION: Vec = 0.0016 * 4.0 ** np.arange(7, dtype=np.float64)  # deg over the root of the range of commands
 _CLOSE = 0.95  # probability that a model is as close as its file says
+_RETURNS_S = 10.0
 _HELD = 0.5  # of that distance: what a disturbance may be uncertain by, since the error of a model changes all the time
 _LEAST_MODEL_DEG = 0.01
 _SWITCHING_S = 20.0  # mean time between changes of the model's error
 _MOST_GAIN = 0.5
-_FIRST = 100.0  # variance of the first disturbance in those of the sensor: the first measurements decide
 _TINY = 1e-20  # deg^2: a sigma of zero has no logarithm
 
 Sigmas = tuple[float | None, float | None, float | None]
@@ -72,7 +72,7 @@ class NoiseBank:
     """
 
     def __init__(
-        self, given: Sigmas, predictor: Predictor, limit_deg: float, model_sigma_deg: float | None = None
+        self, given: Sigmas, predictor: Predictor, limit_deg: float, model_sigma_deg: float | None = None, probable: float = 0.5
     ) -> None:
         low, high = predictor.command_range
         known = predictor.noise or _UNKNOWN
@@ -83,21 +83,23 @@ class NoiseBank:
         sensor, by_sensor = _axis(given[0], usual, np.maximum(usual * _SENSOR_FACTORS, least))
         drift, by_drift = _axis(given[1], known.drift_sigma_deg_per_sqrt_s, _DRIFT)
         motion, by_motion = _axis(given[2], known.motion_sigma_deg_per_sqrt_unit, _MOTION / math.sqrt(high - low))
+        close, self._close = None, 0
+        if model_sigma_deg is not None and given[1] is None and given[2] is None:
+            close = max(model_sigma_deg, _LEAST_MODEL_DEG)
+            self._close = 1
+            drift = np.append(drift, close * math.sqrt(2.0 / _RETURNS_S))
+            by_drift = np.append((1.0 - probable) * by_drift, probable)
         grid = np.array([axis.ravel() for axis in np.meshgrid(sensor, drift, motion, indexing="ij")])
         self._limit, self._counts = limit_deg, (sensor.size, drift.size, motion.size)
         self._sensor, self._drift, self._motion = grid[0] ** 2, predictor.dt * grid[1] ** 2, grid[2] ** 2
         self._logs = np.log(np.maximum(grid**2, _TINY))
         self._by_sensor, self._by_model = by_sensor, np.outer(by_drift, by_motion).ravel()
-        if model_sigma_deg is not None:
-            self._by_model = (1.0 - _CLOSE) * self._by_model
-            self._by_model[0] += _CLOSE
         self._switching = predictor.dt / (predictor.dt + _SWITCHING_S)
         self._most = _MOST_GAIN if grid.shape[1] > 1 else 1.0
-        first, most = np.full(grid.shape[1], _FIRST * (given[0] or usual) ** 2), np.full(grid.shape[1], limit_deg**2)
-        if model_sigma_deg is not None:
-            close = (grid[1] == drift[0]) & (grid[2] == motion[0])
-            first[close] = most[close] = (_HELD * max(model_sigma_deg, _LEAST_MODEL_DEG)) ** 2
-        self._first, self._widest = first, most
+        self._widest = np.full(grid.shape[1], limit_deg**2)
+        if close is not None:
+            near = np.arange(grid.shape[1]) // motion.size % drift.size == drift.size - 1
+            self._widest[near] = close**2
         self.size = grid.shape[1]
 
     def _tables(self) -> Mapping[str, Vec]:
@@ -110,14 +112,13 @@ class NoiseBank:
             "motion_variances": self._motion[:motions],
             "by_sensor": self._by_sensor,
             "by_model": self._by_model,
-            "first_variances": self._first[:models],
             "most_variances": self._widest[:models],
         }
 
     def struct(self) -> Struct:
         """Return the bank as `hystmpc_noise` of core/estimator.h."""
         sizes = dict(zip(("sensors", "drifts", "motions"), self._counts, strict=True))
-        limits = {"switching": self._switching, "most_gain": self._most, "limit": self._limit}
+        limits = {"close": self._close, "switching": self._switching, "most_gain": self._most, "limit": self._limit}
         return struct("hystmpc_noise", **sizes, **self._tables(), **limits)
 
     @property

@@ -241,9 +241,9 @@ class EstimatorSettings(SensorKindSettings):
             part = struct("hystmpc_sensing", sensor=_SENSORS["HYSTMPC_NO_SENSOR"], forgets=1.0, **known)
             return Observer(part, predictor)
         frames = self.sensor == "intermittent"
-        usual = predictor.noise.model_sigma_deg if predictor.noise and frames else None
+        usual = predictor.noise.model_sigma_deg if predictor.noise else None
         sigmas = self.sensor_sigma_deg, self.drift_sigma_deg_per_sqrt_s, self.motion_sigma_deg_per_sqrt_unit
-        bank = NoiseBank(sigmas, predictor, self.disturbance_limit_deg, usual)
+        bank = NoiseBank(sigmas, predictor, self.disturbance_limit_deg, usual, 0.95 if frames else 0.5)
         low, high = predictor.command_range
         part = struct(
             "hystmpc_sensing",
