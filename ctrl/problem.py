@@ -168,6 +168,8 @@ def _predictive(settings: PredictiveSettings, device: _Modelled, solve: Callable
     horizon, supervisor = settings.preview_samples(device.dt), settings.supervisor
     low, high = settings.weights.angle_limits_deg
     more: dict[str, Any] = {}
+    weights = settings.weights
+    oscillates = inverted_after_a_hold(device.inverted)  # so do plans of little weight on moves
     if supervisor is not None:
         more = {
             "supervised": 1,
@@ -182,8 +184,8 @@ def _predictive(settings: PredictiveSettings, device: _Modelled, solve: Callable
         horizon=horizon,
         planner=_planner(settings, device, horizon, solve),
         candidates=candidates_over(horizon),
-        rate_weight=settings.weights.rate,
-        close_rate_weight=settings.weights.rate_close,
+        rate_weight=weights.rate,
+        close_rate_weight=weights.rate if oscillates else weights.rate_close,
         angle_low=low,
         angle_high=high,
         slope=device.slope,

@@ -15,6 +15,7 @@ from hystmpc.trials.types import Vec
 
 # Without facts a model is assumed to be good: a few samples show the contrary, it takes hundreds to confirm it.
 _UNKNOWN = NoiseModel(sensor_sigma_deg=0.1, drift_sigma_deg_per_sqrt_s=0.1, motion_sigma_deg_per_sqrt_unit=0.2)
+_UNKNOWN_MODEL_DEG = 0.1
 _PRIOR_SPREAD = math.log(4.0)  # standard deviation of the logarithm of each sigma about its prior value
 _LEAST_SENSOR_DEG = 0.02  # a model of simulated trials without noise gives no information on a real sensor
 _SENSOR_FACTORS: Vec = 2.0 ** np.arange(-3.0, 3.1, 0.5)  # factors on the prior value
@@ -72,7 +73,7 @@ class NoiseBank:
     """
 
     def __init__(
-        self, given: Sigmas, predictor: Predictor, limit_deg: float, model_sigma_deg: float | None = None, probable: float = 0.5
+        self, given: Sigmas, predictor: Predictor, limit_deg: float, probable: float
     ) -> None:
         low, high = predictor.command_range
         known = predictor.noise or _UNKNOWN
@@ -84,8 +85,8 @@ class NoiseBank:
         drift, by_drift = _axis(given[1], known.drift_sigma_deg_per_sqrt_s, _DRIFT)
         motion, by_motion = _axis(given[2], known.motion_sigma_deg_per_sqrt_unit, _MOTION / math.sqrt(high - low))
         close, self._close = None, 0
-        if model_sigma_deg is not None and given[1] is None and given[2] is None:
-            close = max(model_sigma_deg, _LEAST_MODEL_DEG)
+        if given[1] is None and given[2] is None:
+            close = max(known.model_sigma_deg or _UNKNOWN_MODEL_DEG, _LEAST_MODEL_DEG)
             self._close = 1
             drift = np.append(drift, close * math.sqrt(2.0 / _RETURNS_S))
             by_drift = np.append((1.0 - probable) * by_drift, probable)

@@ -241,9 +241,8 @@ class EstimatorSettings(SensorKindSettings):
             part = struct("hystmpc_sensing", sensor=_SENSORS["HYSTMPC_NO_SENSOR"], forgets=1.0, **known)
             return Observer(part, predictor)
         frames = self.sensor == "intermittent"
-        usual = predictor.noise.model_sigma_deg if predictor.noise else None
         sigmas = self.sensor_sigma_deg, self.drift_sigma_deg_per_sqrt_s, self.motion_sigma_deg_per_sqrt_unit
-        bank = NoiseBank(sigmas, predictor, self.disturbance_limit_deg, usual, 0.95 if frames else 0.5)
+        bank = NoiseBank(sigmas, predictor, self.disturbance_limit_deg, 0.95 if frames else 0.5)
         low, high = predictor.command_range
         part = struct(
             "hystmpc_sensing",
@@ -253,9 +252,9 @@ class EstimatorSettings(SensorKindSettings):
             outlier=self.outlier_deg,
             dead_band_gain=self.dead_band_gain_deg_per_unit,
             resolution=_RESOLUTION * abs(high - low),
-            forgets=math.exp(-predictor.dt / _EARNED_S) if frames else 1.0,
+            forgets=math.exp(-predictor.dt / _EARNED_S),
             doubt=_DOUBT,
-            logs=bank.sensor_logs if frames else None,
+            logs=bank.sensor_logs if bank.size > 1 else None,
             noise=bank.struct(),
         )
         return Observer(part, predictor, bank)
