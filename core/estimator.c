@@ -30,6 +30,9 @@
 
 static int bank_models(const hystmpc_noise *n) { return n->drifts * n->motions; }
 
+/* Of them, those of a model that is not close; they stand first. */
+static int bank_far(const hystmpc_noise *n) { return (n->drifts - n->close) * n->motions; }
+
 /* Variance of the mixture of all filters about its mean. */
 static real mixed_variance(const real *bank, int count, real mean) {
     const real *d = bank, *p = bank + count, *w = p + count;
@@ -44,13 +47,13 @@ static void prior_weights(const hystmpc_noise *n, real *w) {
         for (int i = 0; i < models; i++) w[j * models + i] = n->by_sensor[j] * n->by_model[i];
 }
 
-HYSTMPC_LOCAL real hystmpc_noise_init(const hystmpc_noise *n, real *bank) {
-    const int models = bank_models(n), count = n->sensors * models;
+HYSTMPC_LOCAL real hystmpc_noise_init(const hystmpc_noise *n, real *bank, real disturbance) {
+    const int models = bank_models(n), count = n->sensors * models, far = bank_far(n);
     real *d = bank, *p = bank + count, *w = p + count, total;
     prior_weights(n, w);
     for (int i = 0; i < count; i++) {
-        d[i] = R(0.0);
-        p[i] = n->most_variances[i % models];
+        d[i] = i % models < far ? disturbance : R(0.0);
+        p[i] = n->first_variances[i % models];
     }
     BANK_SUM(total, count, w[i] * p[i])
     return total;
@@ -58,8 +61,8 @@ HYSTMPC_LOCAL real hystmpc_noise_init(const hystmpc_noise *n, real *bank) {
 
 /* Every filter of one sensor with a measurement used, its weight by how well it foretold it. */
 static void correct_filters(const hystmpc_noise *n, real *restrict d, real *restrict p, real *restrict w, int count,
-                            real noise, real offset, real most_gain) {
-    const real limit = n->limit;
+                            real noise, real offset) {
+    const real most_gain = n->most_gain, limit = n->limit;
     for (int i = 0; i < count; i++) {
         const real before = p[i], spread = before + noise, error = offset - d[i];
         const real by_spread = R(1.0) / spread;
@@ -72,25 +75,30 @@ static void correct_filters(const hystmpc_noise *n, real *restrict d, real *rest
     }
 }
 
-/* After the filters all weights are mixed with their prior, since how wrong the model is may change (a jump Markov
- * model: Blom and Bar-Shalom, IEEE Transactions on Automatic Control 33, 1988, without their mixing of the filters). */
-HYSTMPC_LOCAL real hystmpc_noise_correct(const hystmpc_noise *n, real *bank, real offset, real most_gain, real *mean) {
+/* Weights mixed with their prior, since how wrong the model is may have changed (a jump Markov model: Blom and Bar-Shalom,
+ * IEEE Transactions on Automatic Control 33, 1988, without their mixing of the filters). */
+static void mix_weights(const hystmpc_noise *n, real *w) {
+    const int models = bank_models(n);
+    for (int j = 0; j < n->sensors; j++) {
+        real *own = w + j * models, share;
+        BANK_SUM(share, models, own[i])
+        share = n->switching * ((R(1.0) - BANK_SENSOR_SHARE) * share + BANK_SENSOR_SHARE * n->by_sensor[j]);
+        for (int i = 0; i < models; i++) own[i] = (R(1.0) - n->switching) * own[i] + share * n->by_model[i];
+    }
+}
+
+HYSTMPC_LOCAL real hystmpc_noise_correct(const hystmpc_noise *n, real *bank, real offset, real *mean) {
     const int models = bank_models(n), count = n->sensors * models;
     real *d = bank, *p = bank + count, *w = p + count, total, off;
+    mix_weights(n, w);
     for (int j = 0, at = 0; j < n->sensors; j++, at += models)
-        correct_filters(n, d + at, p + at, w + at, models, n->sensor_variances[j], offset, most_gain);
+        correct_filters(n, d + at, p + at, w + at, models, n->sensor_variances[j], offset);
     BANK_SUM(total, count, w[i])
     if (!(total > BANK_LEAST_WEIGHT)) { /* none has foretold it at all: as before anything was seen */
         prior_weights(n, w);
         BANK_SUM(total, count, w[i])
     }
-    const real kept = (R(1.0) - n->switching) / total;
-    for (int j = 0; j < n->sensors; j++) {
-        real *own = w + j * models, share;
-        BANK_SUM(share, models, own[i])
-        share = n->switching * ((R(1.0) - BANK_SENSOR_SHARE) * share / total + BANK_SENSOR_SHARE * n->by_sensor[j]);
-        for (int i = 0; i < models; i++) own[i] = kept * own[i] + share * n->by_model[i];
-    }
+    for (int i = 0; i < count; i++) w[i] /= total;
     BANK_SUM(off, count, w[i] * (d[i] - d[0]))
     *mean = d[0] + off;
     return mixed_variance(bank, count, *mean);
@@ -112,7 +120,7 @@ HYSTMPC_LOCAL real hystmpc_noise_advance(const hystmpc_noise *n, real *bank, rea
 }
 
 HYSTMPC_LOCAL real hystmpc_noise_close(const hystmpc_noise *n, const real *bank) {
-    const int models = bank_models(n), far = (n->drifts - n->close) * n->motions;
+    const int models = bank_models(n), far = bank_far(n);
     const real *w = bank + 2 * n->sensors * models;
     real total = R(0.0);
     for (int j = 0; j < n->sensors; j++)

@@ -13,7 +13,8 @@ typedef struct {
     const real *motion_variances; /* of a walk over one unit of command travel (motions) */
     const real *by_sensor;        /* probability of each sensor before anything was seen (sensors) */
     const real *by_model;         /* the same of drift and motion (drifts, motions) */
-    const real *most_variances;   /* of the disturbance at any time (drifts, motions) */
+    const real *first_variances;  /* of the disturbance at the start (drifts, motions) */
+    const real *most_variances;   /* s^2, of the disturbance at any time (drifts, motions) */
     int close;                    /* drifts at the end of the grid whose walk returns to zero: the model is close */
     int spare;
     real switching;               /* probability that the model's error changes in a sample */
@@ -24,12 +25,11 @@ typedef struct {
 /* In all of them `bank` (3, M) holds disturbance [deg], variance [deg^2] and weight of every filter; they answer the
  * variance of the disturbance [deg^2]. */
 
-/* The bank before anything was seen, its disturbance zero. */
-HYSTMPC_LOCAL real hystmpc_noise_init(const hystmpc_noise *n, real *bank);
+/* The bank at rest; where the model is close, the disturbance is zero until measurements say otherwise. */
+HYSTMPC_LOCAL real hystmpc_noise_init(const hystmpc_noise *n, real *bank, real disturbance);
 
-/* With a measurement used, `offset` = y - model [deg]; the disturbance [deg] is put into `mean`. The gain of a filter is
- * bounded by `most_gain`; of the first measurement, by 1. */
-HYSTMPC_LOCAL real hystmpc_noise_correct(const hystmpc_noise *n, real *bank, real offset, real most_gain, real *mean);
+/* With a measurement used, `offset` = y - model [deg]; the disturbance [deg] is put into `mean`. */
+HYSTMPC_LOCAL real hystmpc_noise_correct(const hystmpc_noise *n, real *bank, real offset, real *mean);
 
 /* One sample later, the command having gone so far; the variance is that about `mean`. */
 HYSTMPC_LOCAL real hystmpc_noise_advance(const hystmpc_noise *n, real *bank, real travel, real mean);

@@ -131,15 +131,14 @@ static void observer_start(const hystmpc_sensing *s, const hystmpc_extent *n, hy
     memset(e->known, 0, sizeof *e->known);
     e->known->command = u;
     e->known->measured = s->sensor == HYSTMPC_NO_SENSOR ? angle : y;
+    if (s->sensor == HYSTMPC_CONTINUOUS) e->known->disturbance = y - angle;
     if (n->states) memcpy(e->model, x, sizeof(real) * (size_t)n->states);
     for (int k = 0; k < n->angles; k++) {
         e->angles[k] = angle;
         e->responsive[k] = R(1.0);
         e->moves[k] = R(0.0);
     }
-    if (n->bank) e->known->variance = hystmpc_noise_init(s->noise, e->bank);
-    if (n->bank && s->sensor == HYSTMPC_CONTINUOUS)
-        e->known->variance = hystmpc_noise_correct(s->noise, e->bank, y - angle, R(1.0), &e->known->disturbance);
+    if (n->bank) e->known->variance = hystmpc_noise_init(s->noise, e->bank, e->known->disturbance);
 }
 
 /* The whole's angles from those of the model alone and what is learned. */
@@ -195,18 +194,18 @@ HYSTMPC_LOCAL real hystmpc_believed(const hystmpc_sensing *s, const hystmpc_exte
     return R(1.0) - hystmpc_noise_close(s->noise, e->bank) * (R(1.0) - share);
 }
 
-/* The bank with an offset used, and the disturbance as far as it is believed. */
+/* The bank with an offset used, and the disturbance as far as it is believed, never away from the offset. */
 static void observer_believe(const hystmpc_sensing *s, const hystmpc_extent *n, hystmpc_estimate *e, real offset) {
     const int filters = n->bank / 3;
     hystmpc_known *known = e->known;
     real before = R(0.0), mean;
     for (int i = 0; i < filters; i++) before += e->bank[i] * e->bank[2 * filters + i];
-    const real variance = hystmpc_noise_correct(s->noise, e->bank, offset, s->noise->most_gain, &mean);
+    const real variance = hystmpc_noise_correct(s->noise, e->bank, offset, &mean);
     known->earned[0] += before * offset;
     known->earned[1] += before * before;
-    const real share = hystmpc_believed(s, n, e), off = (R(1.0) - share) * mean;
-    known->disturbance = share * mean;
-    known->variance = variance + off * off;
+    const real old = known->disturbance, wanted = hystmpc_believed(s, n, e) * mean;
+    known->disturbance = clamp(wanted, least(old, offset), most(old, offset));
+    known->variance = variance + (mean - known->disturbance) * (mean - known->disturbance);
 }
 
 HYSTMPC_LOCAL void hystmpc_estimate_correct(const hystmpc_sensing *s, const hystmpc_extent *n, hystmpc_estimate *e,
@@ -272,8 +271,8 @@ static void observer_correct_learned(const hystmpc_sensing *s, const hystmpc_mod
     observer_put_together(m, n, o);
     const real change = l->added[0] - before;
     for (int i = 0; i < n->bank / 3; i++) o->now.bank[i] -= change;
+    whole->disturbance -= change;
     if (o->alone.responsive[0] != R(0.0) && n->bank) observer_believe(s, n, &o->now, offset - change);
-    else whole->disturbance -= hystmpc_believed(s, n, &o->now) * change;
 }
 
 static void observer_correct_newest(const hystmpc_sensing *s, hystmpc_known *known, real y) {

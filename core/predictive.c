@@ -99,6 +99,7 @@ static void judge_hold(const hystmpc_hold *rule, hystmpc_head *head, const hystm
     const real waited = least((real)(head->constant / rule->patience), rule->sigmas);
     const real more = held_before ? rule->sigmas * g->sigma + rule->step : waited * g->sigma;
     head->holding = farthest(held, horizon, g->disturbance, head->hold_target) <= rule->tolerance + more;
+    /* What the model knows of the way of a held angle, creep for one, is no noise. */
     head->crept = held_before && horizon > 1 ? head->crept + held[1] - held[0] : R(0.0);
     head->holding = head->holding && absolute(head->crept) <= R(3.0) * rule->tolerance;
 }

@@ -77,14 +77,15 @@ class HoldSettings(Settings):
     """Hold of the command, and slow correction of a remaining error; see core/predictive.c, which counts samples.
 
     Attributes:
-        tolerance_deg: distance from the reference that always counts as reached [deg].
+        tolerance_deg: distance from the reference that always counts as reached [deg]; null for 0.01, or 0.03 where the
+            model's file says that the sensor's readings have steps.
         patience_s: time of constant reference for which one more standard deviation is allowed for [s].
         lead_s: preview that is used [s].
         settle_after_s: time of constant reference after which corrections are limited [s].
         settle_s: time over which a limited correction removes an error at the model's static gain [s]; 0 for no limit.
     """
 
-    tolerance_deg: NotNegative = 0.01
+    tolerance_deg: NotNegative | None = None
     patience_s: NotNegative = 0.4
     lead_s: NotNegative = 0.0
     settle_after_s: NotNegative = 0.4

@@ -35,6 +35,7 @@ CHANGES = 1000
 """Greatest number of changes of the active set in one program, which limits the time of its solution."""
 _FOLLOWING, _STEPS = 5, 8  # candidates before those that only search; small steps either way
 _REFINED = 2  # iterations from a plan that is late along a motion
+_CLOSE_DEG, _CLOSE_IN_STEPS_DEG = 0.01, 0.03  # tolerance of a hold; where readings have steps
 _LEAVE_SIGMAS = 5.0  # the difference of two independent estimates of one disturbance exceeds this once in 10^4 samples
 _LEAST, _KEPT = 0.05, 0.3  # least share of a direction in the noise; of the elites that take part again
 
@@ -204,10 +205,12 @@ def _hold(settings: HoldSettings, device: _Modelled) -> Struct:
     """A command that acts later has to start that much earlier; the lead counts from there."""
     dt, noise = device.dt, device.known.noise
     delay = device.inverted.delay_samples if isinstance(device.inverted, DrivenInverse) else 0
+    step = noise.sensor_resolution_deg if noise else 0.0
+    close = _CLOSE_DEG if step == 0.0 else _CLOSE_IN_STEPS_DEG
     return struct(
         "hystmpc_hold",
-        tolerance=settings.tolerance_deg,
-        step=noise.sensor_resolution_deg if noise else 0.0,
+        tolerance=close if settings.tolerance_deg is None else settings.tolerance_deg,
+        step=step,
         sigmas=_LEAVE_SIGMAS,
         patience=max(round(settings.patience_s / dt), 1),
         lead=delay + max(round(settings.lead_s / dt), 1),
