@@ -203,6 +203,7 @@ static void look(const hystmpc_problem *p, const hystmpc_memory *m, const real *
     g->planned = m->head->planned;
     g->disturbance = known->disturbance;
     g->sigma = hystmpc_observer_sigma(p->sensing, &m->observed);
+    g->close = hystmpc_observer_close(p->sensing, &m->observed);
     g->measured = known->measured;
     g->age = hystmpc_observer_age(&m->observed);
     g->u_last = known->command;

@@ -70,6 +70,7 @@ typedef struct {
     int planned;
     real disturbance;
     real sigma;             /* standard deviation of what noise does to the disturbance in a hold */
+    real close;             /* probability that the model is as close to the device as its file says */
     real measured;          /* last accepted measurement */
     real age;               /* of that [samples] */
     real u_last;            /* the command really sent last */
@@ -96,6 +97,8 @@ typedef struct {
     const hystmpc_planner *planner;  /* of the predictive law; of a feedforward over a preview; else null */
     int candidates;                  /* greatest number of candidate plans of that planner */
     int spare;
+    real rate_weight;                /* on moves of the command */
+    real close_rate_weight;          /* the same where the model is as close to the device as its file says */
     real angle_low, angle_high;      /* soft limits [deg] */
     real slope;                      /* static gain of the model [deg per command unit], 0: unknown */
     const hystmpc_hold *hold;        /* of the predictive law */
@@ -131,6 +134,7 @@ typedef struct {
     real due;               /* angle that is wanted at the present instant */
     real target;            /* of a step without a reference */
     real hold_target;
+    real crept;             /* way of the model's angle since a hold began [deg] */
     real followed;          /* reference that the feedforward follows */
     real u_alone;           /* its last command */
     real error, integral, speed, angle, age; /* of the PID */

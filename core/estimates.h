@@ -38,9 +38,13 @@ HYSTMPC_LOCAL void hystmpc_estimate_advance(const hystmpc_sensing *s, const hyst
 /* Estimated variance of the sensor noise: the geometric mean over the filters [deg^2]. */
 HYSTMPC_LOCAL real hystmpc_sensor_variance(const hystmpc_sensing *s, const hystmpc_extent *n, const real *bank);
 
-/* How far the disturbance of frames is believed:
+/* How far the disturbance is believed, from 0 to 1: where the model is close, with the probability c, only as far as the
+ * bank's mean m has foretold the offsets z of the last seconds,
  *
- *     s = sum_j m_j z_j / (sum_j m_j^2 + doubt * sensor^2),   0 <= s <= 1 */
+ *     1 - c (1 - s),   s = sum_j m_j z_j / (sum_j m_j^2 + doubt * sensor^2),   0 <= s <= 1
+ *
+ * s is the share of least error; a correction that only follows noise vanishes. A device that has changed is followed at
+ * once. */
 HYSTMPC_LOCAL real hystmpc_believed(const hystmpc_sensing *s, const hystmpc_extent *n, const hystmpc_estimate *e);
 
 /* frames.c: the updates of an observer of frames, with its past. */

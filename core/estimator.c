@@ -30,6 +30,9 @@
 
 static int bank_models(const hystmpc_noise *n) { return n->drifts * n->motions; }
 
+/* Of them, those of a model that is not close; they stand first. */
+static int bank_far(const hystmpc_noise *n) { return (n->drifts - n->close) * n->motions; }
+
 /* Variance of the mixture of all filters about its mean. */
 static real mixed_variance(const real *bank, int count, real mean) {
     const real *d = bank, *p = bank + count, *w = p + count;
@@ -45,11 +48,11 @@ static void prior_weights(const hystmpc_noise *n, real *w) {
 }
 
 HYSTMPC_LOCAL real hystmpc_noise_init(const hystmpc_noise *n, real *bank, real disturbance) {
-    const int models = bank_models(n), count = n->sensors * models;
+    const int models = bank_models(n), count = n->sensors * models, far = bank_far(n);
     real *d = bank, *p = bank + count, *w = p + count, total;
     prior_weights(n, w);
     for (int i = 0; i < count; i++) {
-        d[i] = disturbance;
+        d[i] = i % models < far ? disturbance : R(0.0);
         p[i] = n->first_variances[i % models];
     }
     BANK_SUM(total, count, w[i] * p[i])
@@ -72,11 +75,22 @@ static void correct_filters(const hystmpc_noise *n, real *restrict d, real *rest
     }
 }
 
-/* After the filters all weights are mixed with their prior, since how wrong the model is may change (a jump Markov
- * model: Blom and Bar-Shalom, IEEE Transactions on Automatic Control 33, 1988, without their mixing of the filters). */
+/* Weights mixed with their prior, since how wrong the model is may have changed (a jump Markov model: Blom and Bar-Shalom,
+ * IEEE Transactions on Automatic Control 33, 1988, without their mixing of the filters). */
+static void mix_weights(const hystmpc_noise *n, real *w) {
+    const int models = bank_models(n);
+    for (int j = 0; j < n->sensors; j++) {
+        real *own = w + j * models, share;
+        BANK_SUM(share, models, own[i])
+        share = n->switching * ((R(1.0) - BANK_SENSOR_SHARE) * share + BANK_SENSOR_SHARE * n->by_sensor[j]);
+        for (int i = 0; i < models; i++) own[i] = (R(1.0) - n->switching) * own[i] + share * n->by_model[i];
+    }
+}
+
 HYSTMPC_LOCAL real hystmpc_noise_correct(const hystmpc_noise *n, real *bank, real offset, real *mean) {
     const int models = bank_models(n), count = n->sensors * models;
     real *d = bank, *p = bank + count, *w = p + count, total, off;
+    mix_weights(n, w);
     for (int j = 0, at = 0; j < n->sensors; j++, at += models)
         correct_filters(n, d + at, p + at, w + at, models, n->sensor_variances[j], offset);
     BANK_SUM(total, count, w[i])
@@ -84,28 +98,34 @@ HYSTMPC_LOCAL real hystmpc_noise_correct(const hystmpc_noise *n, real *bank, rea
         prior_weights(n, w);
         BANK_SUM(total, count, w[i])
     }
-    const real kept = (R(1.0) - n->switching) / total;
-    for (int j = 0; j < n->sensors; j++) {
-        real *own = w + j * models, share;
-        BANK_SUM(share, models, own[i])
-        share = n->switching * ((R(1.0) - BANK_SENSOR_SHARE) * share / total + BANK_SENSOR_SHARE * n->by_sensor[j]);
-        for (int i = 0; i < models; i++) own[i] = kept * own[i] + share * n->by_model[i];
-    }
+    for (int i = 0; i < count; i++) w[i] /= total;
     BANK_SUM(off, count, w[i] * (d[i] - d[0]))
     *mean = d[0] + off;
     return mixed_variance(bank, count, *mean);
 }
 
+/* d <- f d, P <- f^2 (P + q), f^2 = 1 / (1 + q / s^2), q the variance of the step and s^2 the greatest one: a walk that
+ * returns to zero, of variance s^2 at any time. */
 HYSTMPC_LOCAL real hystmpc_noise_advance(const hystmpc_noise *n, real *bank, real travel, real mean) {
-    const int count = n->sensors * bank_models(n);
-    for (int j = 0; j < n->sensors * n->drifts; j++) {
-        const int at = j % n->drifts;
-        const real drift = n->drift_variances[at], *most_variance = n->most_variances + at * n->motions;
-        real *p = bank + count + j * n->motions;
-        for (int i = 0; i < n->motions; i++)
-            p[i] = least(p[i] + drift + n->motion_variances[i] * travel, most_variance[i]);
+    const int models = bank_models(n), count = n->sensors * models;
+    for (int i = 0; i < models; i++) {
+        const real step = n->drift_variances[i / n->motions] + n->motion_variances[i % n->motions] * travel;
+        const real squared = R(1.0) / (R(1.0) + step / n->most_variances[i]), kept = MATH(sqrt)(squared);
+        for (int j = i; j < count; j += models) {
+            bank[j] *= kept;
+            bank[count + j] = squared * (bank[count + j] + step);
+        }
     }
     return mixed_variance(bank, count, mean);
+}
+
+HYSTMPC_LOCAL real hystmpc_noise_close(const hystmpc_noise *n, const real *bank) {
+    const int models = bank_models(n), far = bank_far(n);
+    const real *w = bank + 2 * n->sensors * models;
+    real total = R(0.0);
+    for (int j = 0; j < n->sensors; j++)
+        for (int i = far; i < models; i++) total += w[j * models + i];
+    return total;
 }
 
 #undef BANK_BY_FREEDOM

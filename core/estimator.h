@@ -14,7 +14,9 @@ typedef struct {
     const real *by_sensor;        /* probability of each sensor before anything was seen (sensors) */
     const real *by_model;         /* the same of drift and motion (drifts, motions) */
     const real *first_variances;  /* of the disturbance at the start (drifts, motions) */
-    const real *most_variances;   /* of the disturbance at any time (drifts, motions) */
+    const real *most_variances;   /* s^2, of the disturbance at any time (drifts, motions) */
+    int close;                    /* drifts at the end of the grid whose walk returns to zero: the model is close */
+    int spare;
     real switching;               /* probability that the model's error changes in a sample */
     real most_gain;               /* of a filter */
     real limit;                   /* of the disturbance [deg] */
@@ -23,7 +25,7 @@ typedef struct {
 /* In all of them `bank` (3, M) holds disturbance [deg], variance [deg^2] and weight of every filter; they answer the
  * variance of the disturbance [deg^2]. */
 
-/* The bank at rest. */
+/* The bank at rest; where the model is close, the disturbance is zero until measurements say otherwise. */
 HYSTMPC_LOCAL real hystmpc_noise_init(const hystmpc_noise *n, real *bank, real disturbance);
 
 /* With a measurement used, `offset` = y - model [deg]; the disturbance [deg] is put into `mean`. */
@@ -31,5 +33,8 @@ HYSTMPC_LOCAL real hystmpc_noise_correct(const hystmpc_noise *n, real *bank, rea
 
 /* One sample later, the command having gone so far; the variance is that about `mean`. */
 HYSTMPC_LOCAL real hystmpc_noise_advance(const hystmpc_noise *n, real *bank, real travel, real mean);
+
+/* Probability of the filters in which the model is close to the device. */
+HYSTMPC_LOCAL real hystmpc_noise_close(const hystmpc_noise *n, const real *bank);
 
 #endif

@@ -56,7 +56,7 @@ HYSTMPC_LOCAL real hystmpc_plan_cost(const hystmpc_law *l, const hystmpc_task *t
             }
             if (l->moves) {
                 const real move = commands[k] - before, off = commands[k] - t->feedforward[k];
-                here = here + l->rate_weight * move * move + l->effort_weight * off * off;
+                here = here + t->rate_weight * move * move + l->effort_weight * off * off;
                 before = commands[k];
             }
             total += here;
@@ -161,17 +161,25 @@ static real move_of(const hystmpc_task *t, const real *commands, int k) {
     return commands[k] - (k ? commands[k - 1] : t->u_last);
 }
 
+/* The share of a block's move that one of its samples makes; behind the last block nothing moves. */
+static real block_share(const hystmpc_law *l, int b) {
+    return b < l->moves ? R(1.0) / (real)(l->ends[b] + 1 - l->starts[b]) : R(0.0);
+}
+
 /* Of one input, whose unknowns begin at `first`: P = 2 (w_r D'D + w_e I) and q = 2 (w_r D'(D p - e_1 u_last) + w_e (p - f))
  * in the deviations v of its commands from the plan, M'P M and M'q in those at the ends of blocks. */
 static void add_moves(hystmpc_qp *q, const hystmpc_law *l, const hystmpc_task *t, const real *commands, int first) {
-    const real rate = R(2.0) * l->rate_weight, effort = R(2.0) * l->effort_weight;
+    const real rate = R(2.0) * t->rate_weight, effort = R(2.0) * l->effort_weight;
     const int m = l->moves;
     for (int b = 0; b < m; b++) {
         real *const hessian = q->hessian + (first + b) * q->unknowns + first, sum = R(0.0);
         if (l->blocked) {
-            copy(l->constant + b * m, hessian, b + 1);
+            hessian[b] = rate * (block_share(l, b) + block_share(l, b + 1));
+            if (b) hessian[b - 1] = -rate * block_share(l, b);
             for (int k = 0; k < l->horizon; k++) {
                 const real here = l->blocking[k * m + b], before = k ? l->blocking[(k - 1) * m + b] : R(0.0);
+                hessian[b] += effort * here * here;
+                if (b) hessian[b - 1] += effort * here * l->blocking[k * m + b - 1];
                 sum += rate * (here - before) * move_of(t, commands, k);
                 sum += effort * here * (commands[k] - t->feedforward[k]);
             }

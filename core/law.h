@@ -5,7 +5,7 @@
 #include "qp.h"
 
 /* Limits, weights and blocks of moves of a predictive law over H samples: of one command and one angle, an axis. Without
- * blocks there are m = H of them, each of one sample, and the two tables M and 2 (...) are not read.
+ * blocks there are m = H of them, each of one sample, and the table M is not read.
  *
  * Several axes are a list. An axis without moves has an angle alone, one without tracking weights a command alone; such
  * axes stand last. In the program of nu commands and ny angles vectors stand one axis after the other: commands (nu, H),
@@ -17,12 +17,11 @@ typedef struct hystmpc_law {
     int soft;              /* whether there are soft limits of the angle */
     real lower, upper;     /* of the command */
     real reach;            /* its greatest change in a sample */
-    real rate_weight, effort_weight, soft_weight;
+    real effort_weight, soft_weight;
     const real *tracking;  /* q (H); null: no angle */
     const int *starts;     /* first and last sample of each block (m) */
     const int *ends;
     const real *blocking;  /* M (H, m) */
-    const real *constant;  /* 2 (w_r (D M)'D M + w_e M'M) (m, m), D the difference matrix */
     const struct hystmpc_law *next; /* of the next axis; null: the last one */
 } hystmpc_law;
 
@@ -31,6 +30,7 @@ typedef struct hystmpc_task {
     const real *reference;   /* wanted angles r (H) [deg] */
     const real *feedforward; /* the inverse plan f (H), from which effort is measured */
     real u_last;             /* the command really sent last */
+    real rate_weight;        /* w_r, on the moves of the command */
     real low, high;          /* soft limits a, b of the angle [deg] */
     const struct hystmpc_task *next; /* of the next axis */
 } hystmpc_task;

@@ -26,6 +26,8 @@ enum {
 #define LEARN_MOVING R(2.0)     /* variances of the filters by which an angle has to move in a block that counts */
 #define LEARN_RECENT R(0.8)     /* forgetting factor of the errors that a supervisor uses, a block */
 #define LEARN_WORST R(1.2)      /* error of a block is limited to this: one bad block is weak evidence */
+#define LEARN_ANSWER R(0.3)     /* share of its answer to the way to an end of the range that a model keeps */
+#define LEARN_FAR R(0.1)        /* least way to an end that is looked at, as a share of the range */
 #define LEARN_SURPRISE R(9.0)   /* variances of an error in a hold, from which on it is an offset that has jumped */
 
 /* The covariance of one lag before anything has been learned. */
@@ -207,13 +209,39 @@ static void memory_behind(const real *past, int at, int lag, real *memory) {
     for (int i = 0; i < HYSTMPC_MEMORY; i++) memory[i] = past[LEARN_HISTORY + at * LEARN_INSTANT + i * LEARN_LAGS + lag];
 }
 
+/* The share with which the best drive acts: at most the one with which the way to each end of the range still moves the
+ * angle by LEARN_ANSWER of what the model's mean slope says. Where a device has stood still, filters learn that it does
+ * not answer; a plan on such a model would never move again, and nothing would be learned that corrects it. */
+static real acting_share(const hystmpc_learner *n, const real *past, const hystmpc_filters *l) {
+    const int lag = l->best / LEARN_DELAYS, delay = l->best % LEARN_DELAYS;
+    real memory[HYSTMPC_MEMORY], far[HYSTMPC_MEMORY], f[HYSTMPC_FEATURES], g[HYSTMPC_FEATURES], share = l->share;
+    if (share == R(0.0)) return share;
+    memory_behind(past, delay, lag, memory);
+    hystmpc_features(&n->basis, memory, memory, 1, past[0], past[1], f);
+    for (int end = 0; end <= 1; end++) {
+        const real way = (real)end - memory[0], moves = n->scale * way;
+        if (absolute(way) < LEARN_FAR || moves == R(0.0)) continue;
+        for (int i = 0; i < HYSTMPC_MEMORY; i++) far[i] = memory[i];
+        far[0] = (real)end;
+        for (int i = 0; i < HYSTMPC_PLAYS; i++)
+            far[1 + i] = clamp(far[1 + i], far[0] - hystmpc_radii[i], far[0] + hystmpc_radii[i]);
+        hystmpc_features(&n->basis, far, far, 1, past[0], past[1], g);
+        real change = l->z[delay][1][lag] * moves;
+        for (int i = 0; i < HYSTMPC_FEATURES; i++) change += l->z[delay][2 + i][lag] * (g[i] - f[i]);
+        const real taken = -change / moves;
+        if (share * taken > R(1.0) - LEARN_ANSWER) share = (R(1.0) - LEARN_ANSWER) / taken;
+    }
+    return share;
+}
+
 HYSTMPC_LOCAL void hystmpc_learning_added(const hystmpc_learner *n, const real *past, const hystmpc_filters *l,
                                           const real *angles, real *added) {
     const int lag = l->best / LEARN_DELAYS, delay = l->best % LEARN_DELAYS;
+    const real share = acting_share(n, past, l);
     real memory[HYSTMPC_MEMORY], f[HYSTMPC_FEATURES];
     for (int k = 0; k <= n->delay; k++) {
         const int at = delay + n->delay - k;
-        if (l->share == R(0.0)) {
+        if (share == R(0.0)) {
             added[k] = R(0.0);
             continue;
         }
@@ -222,16 +250,17 @@ HYSTMPC_LOCAL void hystmpc_learning_added(const hystmpc_learner *n, const real *
         hystmpc_features(&n->basis, memory, before, 1, past[0], past[1], f);
         real total = l->z[delay][1][lag] * (angles[k] - past[2]);
         for (int i = 0; i < HYSTMPC_FEATURES; i++) total += l->z[delay][2 + i][lag] * f[i];
-        added[k] = l->share * total;
+        added[k] = share * total;
     }
 }
 
 HYSTMPC_LOCAL void hystmpc_learning_state(const hystmpc_learner *n, const real *past, const hystmpc_filters *l,
                                           hystmpc_learned *s) {
     const int lag = l->best / LEARN_DELAYS, delay = l->best % LEARN_DELAYS;
+    const real share = acting_share(n, past, l);
     memory_behind(past, delay, lag, s->memory);
     for (int k = 0; k < LEARN_DELAYS; k++) s->queue[k] = past[LEARN_QUEUE + k];
-    for (int i = 0; i < HYSTMPC_WEIGHTS; i++) s->weights[i] = l->share * l->z[delay][1 + i][lag];
+    for (int i = 0; i < HYSTMPC_WEIGHTS; i++) s->weights[i] = share * l->z[delay][1 + i][lag];
     for (int i = 0; i < 3; i++) s->start[i] = past[i];
     s->share = n->lags[lag];
     s->delay = (real)delay;
@@ -243,4 +272,6 @@ HYSTMPC_LOCAL void hystmpc_learning_state(const hystmpc_learner *n, const real *
 #undef LEARN_MOVING
 #undef LEARN_RECENT
 #undef LEARN_WORST
+#undef LEARN_ANSWER
+#undef LEARN_FAR
 #undef LEARN_SURPRISE

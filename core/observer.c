@@ -188,34 +188,37 @@ HYSTMPC_LOCAL real hystmpc_sensor_variance(const hystmpc_sensing *s, const hystm
 }
 
 HYSTMPC_LOCAL real hystmpc_believed(const hystmpc_sensing *s, const hystmpc_extent *n, const hystmpc_estimate *e) {
-    if (s->sensor != HYSTMPC_FRAMES) return R(1.0);
+    if (!s->logs) return R(1.0);
     const real noise = hystmpc_sensor_variance(s, n, e->bank);
-    return clamp(e->known->earned[0] / (e->known->earned[1] + s->doubt * noise), R(0.0), R(1.0));
+    const real share = clamp(e->known->earned[0] / (e->known->earned[1] + s->doubt * noise), R(0.0), R(1.0));
+    return R(1.0) - hystmpc_noise_close(s->noise, e->bank) * (R(1.0) - share);
+}
+
+/* The bank with an offset used, and the disturbance as far as it is believed, never away from the offset. */
+static void observer_believe(const hystmpc_sensing *s, const hystmpc_extent *n, hystmpc_estimate *e, real offset) {
+    const int filters = n->bank / 3;
+    hystmpc_known *known = e->known;
+    real before = R(0.0), mean;
+    for (int i = 0; i < filters; i++) before += e->bank[i] * e->bank[2 * filters + i];
+    const real variance = hystmpc_noise_correct(s->noise, e->bank, offset, &mean);
+    known->earned[0] += before * offset;
+    known->earned[1] += before * before;
+    const real old = known->disturbance, wanted = hystmpc_believed(s, n, e) * mean;
+    known->disturbance = clamp(wanted, least(old, offset), most(old, offset));
+    known->variance = variance + (mean - known->disturbance) * (mean - known->disturbance);
 }
 
 HYSTMPC_LOCAL void hystmpc_estimate_correct(const hystmpc_sensing *s, const hystmpc_extent *n, hystmpc_estimate *e,
                                             real y) {
     const real angle = hystmpc_usable_angle(y), offset = angle - e->angles[0], far = s->outlier;
-    const int filters = n->bank / 3;
     hystmpc_known *known = e->known;
-    real before = R(0.0), mean;
     if (!(absolute(offset - known->disturbance) <= far || absolute(angle - known->measured) <= far)) {
         known->missing = hystmpc_later(known->missing);
         return;
     }
     known->measured = angle;
     known->missing = 0;
-    if (e->responsive[0] == R(0.0) || !filters) return;
-    if (s->sensor == HYSTMPC_FRAMES)
-        for (int i = 0; i < filters; i++) before += e->bank[i] * e->bank[2 * filters + i];
-    const real variance = hystmpc_noise_correct(s->noise, e->bank, offset, &mean);
-    if (s->sensor == HYSTMPC_FRAMES) {
-        known->earned[0] += before * offset;
-        known->earned[1] += before * before;
-    }
-    const real share = hystmpc_believed(s, n, e), off = (R(1.0) - share) * mean;
-    known->disturbance = share * mean;
-    known->variance = variance + off * off;
+    if (e->responsive[0] != R(0.0) && n->bank) observer_believe(s, n, e, offset);
 }
 
 static void observer_drop_first(real *row, int count, real last) {
@@ -268,8 +271,8 @@ static void observer_correct_learned(const hystmpc_sensing *s, const hystmpc_mod
     observer_put_together(m, n, o);
     const real change = l->added[0] - before;
     for (int i = 0; i < n->bank / 3; i++) o->now.bank[i] -= change;
-    if (o->alone.responsive[0] == R(0.0) || !n->bank) whole->disturbance -= change;
-    else whole->variance = hystmpc_noise_correct(s->noise, o->now.bank, offset - change, &whole->disturbance);
+    whole->disturbance -= change;
+    if (o->alone.responsive[0] != R(0.0) && n->bank) observer_believe(s, n, &o->now, offset - change);
 }
 
 static void observer_correct_newest(const hystmpc_sensing *s, hystmpc_known *known, real y) {
@@ -332,7 +335,7 @@ HYSTMPC_LOCAL void hystmpc_observer_advance(const hystmpc_sensing *s, const hyst
     known->command = u;
     known->stalled = o->alone.known->stalled;
     observer_put_together(m, &n, o);
-    if (n.bank && !n.alone) known->variance = hystmpc_noise_advance(s->noise, o->now.bank, o->now.moves[0], known->disturbance);
+    if (!n.alone) hystmpc_disturbance_advance(s, &n, &o->now);
 }
 
 /* Without an estimate of the model, and where nothing is learned, the numbers are zero. */
@@ -356,4 +359,9 @@ HYSTMPC_LOCAL real hystmpc_observer_sigma(const hystmpc_sensing *s, const hystmp
     const hystmpc_noise *b = s->noise;
     const hystmpc_extent n = {0, 0, b ? 3 * b->sensors * b->drifts * b->motions : 0, 0};
     return MATH(sqrt)(o->now.known->variance) * hystmpc_believed(s, &n, &o->now);
+}
+
+HYSTMPC_LOCAL real hystmpc_observer_close(const hystmpc_sensing *s, const hystmpc_observed *o) {
+    if (s->sensor == HYSTMPC_NO_SENSOR) return R(1.0);
+    return s->noise ? hystmpc_noise_close(s->noise, o->now.bank) : R(0.0);
 }

@@ -34,7 +34,7 @@ typedef struct {
     real since;       /* share of a sample by which that is younger than `missing` samples */
     real forecast_error;
     real added;       /* learned part of the first angle [deg] */
-    real earned[2];   /* of frames: sums of m z and m^2 [deg^2], m the mean of the bank before the offset z came */
+    real earned[2];   /* sums of m z and m^2 [deg^2], m the mean of the bank before the offset z came */
     real seen[HYSTMPC_SEEN]; /* measurements of this instant, used or not usable [deg] */
     int count;        /* of them */
     int missing;      /* samples since the last accepted measurement */
@@ -50,9 +50,9 @@ typedef struct {
     real dead_band_gain;   /* slope below which the model is inside the dead band [deg per command unit] */
     real resolution;       /* travel below this counts as none [command unit] */
     real rest_tolerance;   /* [deg] */
-    real forgets;          /* of frames: factor on the sums `earned` in a sample; 1 for others */
-    real doubt;            /* of frames: prior doubt, as many frames of pure noise */
-    const real *logs;      /* of frames: logarithms of the filters' sensor variances (M) */
+    real forgets;          /* factor on the sums `earned` in a sample */
+    real doubt;            /* prior doubt, as many measurements of pure noise */
+    const real *logs;      /* logarithms of the filters' sensor variances (M); null: what is measured is believed */
     const hystmpc_noise *noise; /* null without a model or a sensor */
 } hystmpc_sensing;
 
@@ -133,6 +133,9 @@ HYSTMPC_LOCAL void hystmpc_observer_state(const hystmpc_sensing *s, const hystmp
 /* Age of the last accepted measurement [samples]; standard deviation of what noise does to the disturbance [deg]. */
 HYSTMPC_LOCAL real hystmpc_observer_age(const hystmpc_observed *o);
 HYSTMPC_LOCAL real hystmpc_observer_sigma(const hystmpc_sensing *s, const hystmpc_observed *o);
+
+/* Probability that the model is as close to the device as its file says; 1 without a sensor. */
+HYSTMPC_LOCAL real hystmpc_observer_close(const hystmpc_sensing *s, const hystmpc_observed *o);
 
 /* The same for Python, which has the memory alone (observing.c); `model` may be null. */
 HYSTMPC_API long hystmpc_observing_bytes(const void *sensing, const void *model);

@@ -79,7 +79,7 @@ static int planner_step(const planner_work *w, const hystmpc_plan *around) {
     const hystmpc_planner *const p = w->planner;
     const hystmpc_task *const t = w->task;
     const int samples = p->law->horizon;
-    const real scalars[3] = {t->u_last, t->low, t->high};
+    const real scalars[4] = {t->u_last, t->rate_weight, t->low, t->high};
     fill(w->jacobian, R(0.0), samples * samples); /* its upper part is left alone */
     if (hystmpc_model_linearise(w->model, w->x, samples, around->commands, w->angles, w->jacobian, w->room))
         return HYSTMPC_NO_ANSWER;

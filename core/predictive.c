@@ -99,6 +99,9 @@ static void judge_hold(const hystmpc_hold *rule, hystmpc_head *head, const hystm
     const real waited = least((real)(head->constant / rule->patience), rule->sigmas);
     const real more = held_before ? rule->sigmas * g->sigma + rule->step : waited * g->sigma;
     head->holding = farthest(held, horizon, g->disturbance, head->hold_target) <= rule->tolerance + more;
+    /* What the model knows of the way of a held angle, creep for one, is no noise. */
+    head->crept = held_before && horizon > 1 ? head->crept + held[1] - held[0] : R(0.0);
+    head->holding = head->holding && absolute(head->crept) <= R(3.0) * rule->tolerance;
 }
 
 /* In a hold the plan within u_last -+ k error / (slope settle), k = 1, 2, ...; whether it has changed. Where the model has a
@@ -145,6 +148,12 @@ static void improve_plan(const planning *q, hystmpc_head *head, const hystmpc_gi
         refuse_plan(out, HYSTMPC_FAILED, 0);
 }
 
+/* Moves cost little where the model is as close to the device as its file says: then they are those of the reference.
+ * Where it is not, the estimate of its error makes moves of its own, and a lag that the model lacks an oscillation. */
+static real rate_weight(const hystmpc_problem *p, const hystmpc_given *g) {
+    return p->law->rate_weight + g->close * (p->law->close_rate_weight - p->law->rate_weight);
+}
+
 /* The wanted command and the plan behind it; the caller restores the head where there is none. */
 HYSTMPC_LOCAL void hystmpc_propose_plan(const hystmpc_problem *p, hystmpc_head *head, const hystmpc_given *g,
                                         hystmpc_proposal *out, char *room) {
@@ -162,7 +171,7 @@ HYSTMPC_LOCAL void hystmpc_propose_plan(const hystmpc_problem *p, hystmpc_head *
     }
     /* At rest most steps hold, and look no further. */
     const int first = resting && count > HYSTMPC_FOLLOWING ? HYSTMPC_FOLLOWING : count;
-    const hystmpc_task task = {wanted, q.plans + HYSTMPC_INVERTED * h, g->u_last, p->law->angle_low - g->disturbance,
+    const hystmpc_task task = {wanted, q.plans + HYSTMPC_INVERTED * h, g->u_last, rate_weight(p, g), p->law->angle_low - g->disturbance,
                                p->law->angle_high - g->disturbance, NULL};
     if (predict_candidates(&q, 0, first)) {
         refuse_plan(out, HYSTMPC_FAILED, 0);
@@ -193,7 +202,7 @@ HYSTMPC_LOCAL int hystmpc_plan_ahead(const hystmpc_problem *p, const real *x, co
     begin_planning(&q, p, x, room_begin(room));
     const int count = build_candidates(&q, wanted, u_last, remaining, left, 0);
     if (count < 0 || predict_candidates(&q, 0, count)) return HYSTMPC_NO_ANSWER;
-    const hystmpc_task task = {wanted, q.plans + HYSTMPC_INVERTED * h, u_last, -INFINITE, INFINITE, NULL};
+    const hystmpc_task task = {wanted, q.plans + HYSTMPC_INVERTED * h, u_last, p->law->rate_weight, -INFINITE, INFINITE, NULL};
     take_cheapest(&q, &task, 0, count, best);
     if (!is_finite(best->cost)) return HYSTMPC_NO_PREDICTION;
     int within = 1;

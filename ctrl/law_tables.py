@@ -64,13 +64,6 @@ class MoveBlocking:
         matrix[sum(self.lengths) :, count - 1] = 1.0
         return matrix
 
-    def constant(self, weights: WeightsSettings) -> Mat:
-        """Part of the program's Hessian that does not change (m, m): 2 (w_r (D M)'D M + w_e M'M)."""
-        matrix = self.matrix
-        moves = np.diff(matrix, axis=0, prepend=0.0)
-        constant: Mat = 2.0 * (weights.rate * moves.T @ moves + weights.effort * matrix.T @ matrix)
-        return constant
-
 
 def law_over(
     weights: WeightsSettings,
@@ -94,7 +87,7 @@ def law_over(
     if blocks is not None:
         blocking = MoveBlocking(blocks, horizon)
         starts, ends = blocking.starts, blocking.ends
-        tables = {"blocking": blocking.matrix, "constant": blocking.constant(weights)}
+        tables = {"blocking": blocking.matrix}
     soft = weights.limits_angle
     return struct(
         "hystmpc_law",
@@ -105,7 +98,6 @@ def law_over(
         lower=limits.lower,
         upper=limits.upper,
         reach=limits.rate * dt,
-        rate_weight=weights.rate,
         effort_weight=weights.effort,
         soft_weight=weights.soft_limit if soft else 0.0,
         tracking=weights.over(horizon),

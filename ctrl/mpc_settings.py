@@ -24,6 +24,8 @@ class WeightsSettings(Settings):
         tracking: squared angle error [1/deg^2].
         terminal: factor on `tracking` at the last sample.
         rate: squared command change per sample [1/mm^2 or 1/bar^2].
+        rate_close: the same as far as the model is as close to the device as its file says, and without a sensor; `rate`
+            where that alone is given. In between it is weighted by the probability of the filters, see `NoiseBank`.
         effort: squared distance from the inverse plan [1/mm^2 or 1/bar^2].
         soft_limit: squared excess over the soft angle limits [1/deg^2].
         angle_lower_deg, angle_upper_deg: soft limits of the angle [deg]; null for none.
@@ -32,10 +34,19 @@ class WeightsSettings(Settings):
     tracking: Positive = 1.0
     terminal: NotNegative = 2.0
     rate: Positive = 3.0
+    rate_close: Positive = 0.1
     effort: NotNegative = 0.01
     soft_limit: NotNegative = 100.0
     angle_lower_deg: float | None = None
     angle_upper_deg: float | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_rate(cls, data: Any) -> Any:
+        """Fill in one weight on moves where one is given."""
+        if isinstance(data, dict) and "rate" in data:
+            data = {"rate_close": data["rate"], **data}
+        return data
 
     @property
     def angle_limits_deg(self) -> tuple[float, float]:
@@ -66,14 +77,15 @@ class HoldSettings(Settings):
     """Hold of the command, and slow correction of a remaining error; see core/predictive.c, which counts samples.
 
     Attributes:
-        tolerance_deg: distance from the reference that always counts as reached [deg].
+        tolerance_deg: distance from the reference that always counts as reached [deg]; null for 0.01, or 0.03 where the
+            model's file says that the sensor's readings have steps.
         patience_s: time of constant reference for which one more standard deviation is allowed for [s].
         lead_s: preview that is used [s].
         settle_after_s: time of constant reference after which corrections are limited [s].
         settle_s: time over which a limited correction removes an error at the model's static gain [s]; 0 for no limit.
     """
 
-    tolerance_deg: NotNegative = 0.03
+    tolerance_deg: NotNegative | None = None
     patience_s: NotNegative = 0.4
     lead_s: NotNegative = 0.0
     settle_after_s: NotNegative = 0.4
@@ -94,7 +106,6 @@ class AdaptationSettings(Settings):
 
 _LEAST_SAMPLES, _MOST_SAMPLES, _PREVIEW_S = 20, 60, 0.24  # of a preview whose length is not given
 _ALIKE = 3  # blocks of one length
-_BLIND_RATE, _BLIND_HOLD_DEG = 0.1, 0.01
 _SIGMA_SHARE = 0.1  # of the greatest move of a sample: larger perturbations would cross kinks of the model
 
 
@@ -123,7 +134,7 @@ class PredictiveSettings(LawSettings):
     @model_validator(mode="before")
     @classmethod
     def _defaults_of_the_sensor(cls, data: Any) -> Any:
-        """Fill in defaults without a continuous sensor: no supervisor, less weight on moves, closer holds."""
+        """Fill in defaults without a continuous sensor: no supervisor; without any, no learning."""
         if not isinstance(data, dict):
             return data
         estimator = data.get("estimator")
@@ -132,9 +143,6 @@ class PredictiveSettings(LawSettings):
             data = {**data, "supervisor": None}  # a `tip.yaml` has one for its continuous sensor
             if sensor == "none":
                 data = {"adaptation": None, **data}
-            for block, key, value in (("weights", "rate", _BLIND_RATE), ("hold", "tolerance_deg", _BLIND_HOLD_DEG)):
-                if isinstance(given := data.get(block, {}), dict):
-                    data[block] = {key: value, **given}
         return {"supervisor": None, **data} if data.get("adaptation", {}) is None else data
 
     @model_validator(mode="after")

@@ -35,6 +35,7 @@ CHANGES = 1000
 """Greatest number of changes of the active set in one program, which limits the time of its solution."""
 _FOLLOWING, _STEPS = 5, 8  # candidates before those that only search; small steps either way
 _REFINED = 2  # iterations from a plan that is late along a motion
+_CLOSE_DEG, _CLOSE_IN_STEPS_DEG = 0.01, 0.03  # tolerance of a hold; where readings have steps
 _LEAVE_SIGMAS = 5.0  # the difference of two independent estimates of one disturbance exceeds this once in 10^4 samples
 _LEAST, _KEPT = 0.05, 0.3  # least share of a direction in the noise; of the elites that take part again
 
@@ -155,6 +156,7 @@ def _law(settings: LawSettings, device: _Modelled, solve: Callable[..., int] | N
         kind=kinds["HYSTMPC_FEEDFORWARD_PID" if fed_back else "HYSTMPC_FEEDFORWARD"],
         horizon=horizon,
         planner=_preview(device, horizon) if late else None,
+        rate_weight=_preview_rate(device),
         candidates=candidates_over(horizon),
         angle_low=-math.inf,
         angle_high=math.inf,
@@ -167,6 +169,8 @@ def _predictive(settings: PredictiveSettings, device: _Modelled, solve: Callable
     horizon, supervisor = settings.preview_samples(device.dt), settings.supervisor
     low, high = settings.weights.angle_limits_deg
     more: dict[str, Any] = {}
+    weights = settings.weights
+    oscillates = inverted_after_a_hold(device.inverted)  # so do plans of little weight on moves
     if supervisor is not None:
         more = {
             "supervised": 1,
@@ -181,6 +185,8 @@ def _predictive(settings: PredictiveSettings, device: _Modelled, solve: Callable
         horizon=horizon,
         planner=_planner(settings, device, horizon, solve),
         candidates=candidates_over(horizon),
+        rate_weight=weights.rate,
+        close_rate_weight=weights.rate if oscillates else weights.rate_close,
         angle_low=low,
         angle_high=high,
         slope=device.slope,
@@ -199,10 +205,12 @@ def _hold(settings: HoldSettings, device: _Modelled) -> Struct:
     """A command that acts later has to start that much earlier; the lead counts from there."""
     dt, noise = device.dt, device.known.noise
     delay = device.inverted.delay_samples if isinstance(device.inverted, DrivenInverse) else 0
+    step = noise.sensor_resolution_deg if noise else 0.0
+    close = _CLOSE_DEG if step == 0.0 else _CLOSE_IN_STEPS_DEG
     return struct(
         "hystmpc_hold",
-        tolerance=settings.tolerance_deg,
-        step=noise.sensor_resolution_deg if noise else 0.0,
+        tolerance=close if settings.tolerance_deg is None else settings.tolerance_deg,
+        step=step,
         sigmas=_LEAVE_SIGMAS,
         patience=max(round(settings.patience_s / dt), 1),
         lead=delay + max(round(settings.lead_s / dt), 1),
@@ -251,14 +259,19 @@ def _planner(settings: PredictiveSettings, device: _Modelled, horizon: int, solv
     )
 
 
+def _preview_rate(device: _Modelled) -> float:
+    """Weight on moves of the inverse over a preview."""
+    rate = _STEADY_RATE_WEIGHT if inverted_after_a_hold(device.inverted) else _RATE_WEIGHT
+    return rate * (_BASE_DT_S / device.dt) ** 2
+
+
 def _preview(device: _Modelled, horizon: int) -> Struct:
     """Inverse over a preview: argmin over admissible u of sum_k (theta_k(u) - r_k)^2, with a small weight on moves.
 
     It is the problem of the linearised controller without a disturbance. An inverse sample by sample would send u = v +
     (w - v) / a to a lag with step response a < 1, which amplifies every deviation; a delay has no such inverse.
     """
-    rate = _STEADY_RATE_WEIGHT if inverted_after_a_hold(device.inverted) else _RATE_WEIGHT
-    weights = WeightsSettings(terminal=1.0, rate=rate * (_BASE_DT_S / device.dt) ** 2, effort=0.0)
+    weights = WeightsSettings(terminal=1.0, effort=0.0)
     return struct(
         "hystmpc_planner",
         kind=constants()["HYSTMPC_LINEARISED"],

@@ -14,18 +14,21 @@ from hystmpc.models.model import Predictor
 from hystmpc.trials.types import Vec
 
 # Without facts a model is assumed to be good: a few samples show the contrary, it takes hundreds to confirm it.
-_UNKNOWN = NoiseModel(sensor_sigma_deg=0.1, drift_sigma_deg_per_sqrt_s=0.1, motion_sigma_deg_per_sqrt_unit=0.2)
+_UNKNOWN = NoiseModel(
+    sensor_sigma_deg=0.1, drift_sigma_deg_per_sqrt_s=0.1, motion_sigma_deg_per_sqrt_unit=0.2, model_sigma_deg=0.1
+)
 _PRIOR_SPREAD = math.log(4.0)  # standard deviation of the logarithm of each sigma about its prior value
 _LEAST_SENSOR_DEG = 0.02  # a model of simulated trials without noise gives no information on a real sensor
 _SENSOR_FACTORS: Vec = 2.0 ** np.arange(-3.0, 3.1, 0.5)  # factors on the prior value
 _DRIFT: Vec = 0.001 * 3.0 ** np.arange(8, dtype=np.float64)  # deg/sqrt(s), up to 2.2
 _MOTION: Vec = 0.0016 * 4.0 ** np.arange(7, dtype=np.float64)  # deg over the root of the range of commands
-_CLOSE = 0.95  # probability that a model is as close as its file says
-_HELD = 0.5  # of that distance: what a disturbance may be uncertain by, since the error of a model changes all the time
-_LEAST_MODEL_DEG = 0.01
+_CLOSE = {"continuous": 0.5, "intermittent": 0.95}  # probability that a model is as close as its file says, at first
+_RETURNS_S = 10.0  # time constant with which the error of such a model returns to zero in a hold
+_LEAST_MODEL_DEG = 0.01  # a model of simulated trials has no error there
 _SWITCHING_S = 20.0  # mean time between changes of the model's error
 _MOST_GAIN = 0.5
 _FIRST = 100.0  # variance of the first disturbance in those of the sensor: the first measurements decide
+_ANYWHERE = 1e12  # deg^2, of a single filter
 _TINY = 1e-20  # deg^2: a sigma of zero has no logarithm
 
 Sigmas = tuple[float | None, float | None, float | None]
@@ -38,11 +41,17 @@ class NoiseBank:
 
         z_k = y_k - model_k = d_k + v_k,   var(v) = sensor^2,   var(d_{k+1} - d_k) = drift^2 dt + motion^2 |du_k|
 
-    Filter i holds one triple of sigmas on a fixed grid. Its disturbance d_i has the variance P_i:
+    Filter i holds one triple of sigmas on a fixed grid. Its disturbance d_i has the variance P_i, at most s_i^2:
 
+        f_i^2 = 1 / (1 + q_i / s_i^2),   d_i <- f_i d_i,   P_i <- f_i^2 (P_i + q_i),   q_i = drift_i^2 dt + motion_i^2 |du|
         S_i = P_i + sensor_i^2,   K_i = min(P_i / S_i, 1/2),   d_i <- d_i + K_i (z - d_i)
         P_i <- (1 - K_i)^2 P_i + K_i^2 sensor_i^2,   w_i <- w_i p(z - d_i; S_i) / sum_j w_j p(z - d_j; S_j)
         d = sum_i w_i d_i,   P = sum_i w_i (P_i + (d_i - d)^2)
+
+    Where the model is wrong the disturbance walks anywhere: s is `limit_deg`. Where it is as close to the device as its
+    file says, its error returns to zero: s is `model_sigma_deg` of the file, and drift is s (2 / 10 s)^(1/2). Such filters
+    stand at the end of the grid, with every sensor and motion. The sum of their weights is the probability that the model
+    is close. It decides how much the estimate of now may move a plan; see `WeightsSettings.rate_close`.
 
     The weights are the probabilities of the triples (Magill, "Optimal adaptive estimation of sampled stochastic
     processes", IEEE Transactions on Automatic Control 10, 1965). p is Student's density with 7 degrees of freedom and
@@ -63,16 +72,15 @@ class NoiseBank:
     Args:
         predictor: of the model, with what its file says about these sigmas.
         limit_deg: bound of the disturbance [deg].
-        model_sigma_deg: usual error of the model [deg], for few and noisy measurements. The model is then assumed to be
-            that accurate at first, with a probability of 0.95: the filters of the least drift and motion hold half of
-            it for the standard deviation of their disturbance, and the disturbance starts at zero.
+        kind: of the sensor, `continuous` or `intermittent`. Few and noisy measurements say little against a model: it counts as close
+            with a probability of 0.95 at first, with a continuous sensor of 0.5.
 
     Attributes:
         size: number of filters M.
     """
 
     def __init__(
-        self, given: Sigmas, predictor: Predictor, limit_deg: float, model_sigma_deg: float | None = None
+        self, given: Sigmas, predictor: Predictor, limit_deg: float, kind: str = "continuous"
     ) -> None:
         low, high = predictor.command_range
         known = predictor.noise or _UNKNOWN
@@ -83,21 +91,24 @@ class NoiseBank:
         sensor, by_sensor = _axis(given[0], usual, np.maximum(usual * _SENSOR_FACTORS, least))
         drift, by_drift = _axis(given[1], known.drift_sigma_deg_per_sqrt_s, _DRIFT)
         motion, by_motion = _axis(given[2], known.motion_sigma_deg_per_sqrt_unit, _MOTION / math.sqrt(high - low))
+        self._close = int(given[1] is None and given[2] is None)
+        error = _UNKNOWN.model_sigma_deg if known.model_sigma_deg is None else known.model_sigma_deg
+        close = max(float(error or 0.0), _LEAST_MODEL_DEG)
+        if self._close:
+            drift = np.append(drift, close * math.sqrt(2.0 / _RETURNS_S))
+            by_drift = np.append((1.0 - _CLOSE[kind]) * by_drift, _CLOSE[kind])
         grid = np.array([axis.ravel() for axis in np.meshgrid(sensor, drift, motion, indexing="ij")])
         self._limit, self._counts = limit_deg, (sensor.size, drift.size, motion.size)
         self._sensor, self._drift, self._motion = grid[0] ** 2, predictor.dt * grid[1] ** 2, grid[2] ** 2
         self._logs = np.log(np.maximum(grid**2, _TINY))
         self._by_sensor, self._by_model = by_sensor, np.outer(by_drift, by_motion).ravel()
-        if model_sigma_deg is not None:
-            self._by_model = (1.0 - _CLOSE) * self._by_model
-            self._by_model[0] += _CLOSE
         self._switching = predictor.dt / (predictor.dt + _SWITCHING_S)
         self._most = _MOST_GAIN if grid.shape[1] > 1 else 1.0
-        first, most = np.full(grid.shape[1], _FIRST * (given[0] or usual) ** 2), np.full(grid.shape[1], limit_deg**2)
-        if model_sigma_deg is not None:
-            close = (grid[1] == drift[0]) & (grid[2] == motion[0])
-            first[close] = most[close] = (_HELD * max(model_sigma_deg, _LEAST_MODEL_DEG)) ** 2
-        self._first, self._widest = first, most
+        self._first = np.full(grid.shape[1], _FIRST * (given[0] or usual) ** 2)
+        self._widest = np.full(grid.shape[1], limit_deg**2 if grid.shape[1] > 1 else _ANYWHERE)
+        if self._close:
+            near = np.arange(grid.shape[1]) // motion.size % drift.size == drift.size - 1
+            self._first[near] = self._widest[near] = close**2
         self.size = grid.shape[1]
 
     def _tables(self) -> Mapping[str, Vec]:
@@ -117,7 +128,7 @@ class NoiseBank:
     def struct(self) -> Struct:
         """Return the bank as `hystmpc_noise` of core/estimator.h."""
         sizes = dict(zip(("sensors", "drifts", "motions"), self._counts, strict=True))
-        limits = {"switching": self._switching, "most_gain": self._most, "limit": self._limit}
+        limits = {"close": self._close, "switching": self._switching, "most_gain": self._most, "limit": self._limit}
         return struct("hystmpc_noise", **sizes, **self._tables(), **limits)
 
     @property
@@ -125,15 +136,16 @@ class NoiseBank:
         """Logarithms of the filters' sensor variances [log deg^2] (M,)."""
         return np.asarray(self._logs[0])
 
-    def ahead(self, bank: Vec, travels: Vec) -> Vec:
-        """Growth of the disturbance's variance to the ends of the coming samples without a measurement (H,) [deg^2].
+    def ahead(self, bank: Vec, travels: Vec, mean: float) -> Vec:
+        """Variance about the disturbance d = `mean` at the ends of coming samples without a measurement (H,) [deg^2].
 
-        sum_i w_i (min(P_i + k drift_i^2 dt + motion_i^2 sum_{j<=k} |du_j|, greatest_i) - P_i)
+            sum_i w_i (F_ik P_i + (1 - F_ik) s_i^2 + (F_ik^(1/2) d_i - d)^2),   F_ik = prod_{j<=k} 1 / (1 + q_ij / s_i^2)
         """
-        variance, weight = bank[1], bank[2]
-        steps = np.arange(1.0, travels.size + 1.0)
-        grown = variance + steps[:, None] * self._drift + np.cumsum(travels)[:, None] * self._motion
-        return np.asarray((np.minimum(grown, self._widest) - variance) @ weight)
+        offset, variance, weight = bank
+        steps = self._drift + travels[:, None] * self._motion
+        logs = -np.cumsum(np.log1p(steps / self._widest), axis=0)  # of the squared factors so far
+        grown = np.exp(logs) * variance - np.expm1(logs) * self._widest
+        return np.asarray((grown + (np.exp(0.5 * logs) * offset - mean) ** 2) @ weight)
 
 
 def _axis(given: float | None, known: float, grid: Vec) -> tuple[Vec, Vec]:

@@ -25,7 +25,7 @@ Bytes = NDArray[np.uint8]
 
 ANGLE_BOUND_DEG = 1e4  # far beyond any joint; keeps squares and sums of angles finite
 
-_EARNED_S, _DOUBT = 10.0, 5.0  # of frames: time constant of forgetting; prior doubt, as many frames of pure noise
+_EARNED_S, _DOUBT = 10.0, 5.0  # time constant of forgetting; prior doubt, as many measurements of pure noise
 _KNOWN = layout("hystmpc_known")
 _BEHIND_KNOWN = -(-ctypes.sizeof(_KNOWN) // 8) * 8
 _RESOLUTION = 1e-9  # command changes below this share of the command range count as none
@@ -147,7 +147,7 @@ class Observer:
         """Standard deviation of the error of the angles predicted for the coming command travels (H,) [deg]."""
         if self._bank is None:
             return np.full(travels.size, self.sigma_deg(estimate))
-        return np.asarray(np.sqrt(estimate.variance + self._bank.ahead(estimate.bank, travels)))
+        return np.asarray(np.sqrt(self._bank.ahead(estimate.bank, travels, estimate.disturbance)))
 
     def not_at_rest(self, x: Vec | None, y: float, u: float) -> ControllerError:
         """Return the error of a start at the angle `y` [deg] that the model at rest in the state x does not expect."""
@@ -241,9 +241,8 @@ class EstimatorSettings(SensorKindSettings):
             part = struct("hystmpc_sensing", sensor=_SENSORS["HYSTMPC_NO_SENSOR"], forgets=1.0, **known)
             return Observer(part, predictor)
         frames = self.sensor == "intermittent"
-        usual = predictor.noise.model_sigma_deg if predictor.noise and frames else None
         sigmas = self.sensor_sigma_deg, self.drift_sigma_deg_per_sqrt_s, self.motion_sigma_deg_per_sqrt_unit
-        bank = NoiseBank(sigmas, predictor, self.disturbance_limit_deg, usual)
+        bank = NoiseBank(sigmas, predictor, self.disturbance_limit_deg, self.sensor)
         low, high = predictor.command_range
         part = struct(
             "hystmpc_sensing",
@@ -253,9 +252,9 @@ class EstimatorSettings(SensorKindSettings):
             outlier=self.outlier_deg,
             dead_band_gain=self.dead_band_gain_deg_per_unit,
             resolution=_RESOLUTION * abs(high - low),
-            forgets=math.exp(-predictor.dt / _EARNED_S) if frames else 1.0,
+            forgets=math.exp(-predictor.dt / _EARNED_S),
             doubt=_DOUBT,
-            logs=bank.sensor_logs if frames else None,
+            logs=bank.sensor_logs if bank.size > 1 else None,
             noise=bank.struct(),
         )
         return Observer(part, predictor, bank)

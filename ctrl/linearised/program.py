@@ -27,6 +27,7 @@ class PlanningTask:
     """What is planned for; every angle in it is the model's, without the output disturbance."""
 
     u_last: float  # the command really sent last
+    rate_weight: float  # on its moves
     reference: Vec  # wanted angles [deg], shape (H,)
     feedforward: Vec  # the inverse plan, from which effort is measured, shape (H,)
     angle_limits: tuple[float, float]  # soft limits of the angle [deg], lower and upper
@@ -41,6 +42,7 @@ class PlanningTask:
             reference=self.reference,
             feedforward=self.feedforward,
             u_last=self.u_last,
+            rate_weight=self.rate_weight,
             low=low,
             high=high,
             next=None if self.following is None else self.following.part,
@@ -81,7 +83,7 @@ class PlanProgram:
         moves: list[NDArray[np.intp]] = []  # rows: of each sample the command, then the angle; first the block's move
         rest = np.zeros(horizon)
         for axis in self._axes:
-            tasks = PlanningTask(0.0, rest, rest, (0.0, 0.0), tasks)
+            tasks = PlanningTask(0.0, 1.0, rest, rest, (0.0, 0.0), tasks)
             soft = horizon if axis["soft"] and "tracking" in axis else 0
             if axis["moves"]:
                 moves.append(self._rows + axis["starts"] * (1 + bool(soft)) + np.arange(axis["moves"]))
@@ -179,11 +181,11 @@ class IterativeSolution:
     ) -> int:
         """Solve the program around a plan; 0, 1 where the iterations ran out, or a negative number for no solution."""
         size = self._horizon
-        u_last, low, high = numbers_at(scalars, 3).tolist()
+        u_last, rate, low, high = numbers_at(scalars, 4).tolist()
         wanted, feed, plan, along = (numbers_at(at, size) for at in (reference, feedforward, commands, angles))
         slopes = numbers_at(jacobian, size, size)
         try:
-            task = PlanningTask(u_last, wanted, feed, (low, high))
+            task = PlanningTask(u_last, rate, wanted, feed, (low, high))
             data = self._program.data(task, plan, along, slopes)
             if not np.isfinite(data.hessian.sum() + data.gradient.sum()):
                 return _NO_PROGRAM if np.isfinite(slopes.sum()) else _NO_JACOBIAN

@@ -145,7 +145,7 @@ def recorded_programs(
     programs, still = [], np.zeros(settings.horizon)
     for before, now in pairwise(instants):
         problem = now.problem
-        task = PlanningTask(problem.u_last, problem.reference, still, weights.angle_limits_deg)
+        task = PlanningTask(problem.u_last, weights.rate, problem.reference, still, weights.angle_limits_deg)
         shifted = np.append(before.command.plan[1:], before.command.plan[-1])
         plan = limits.clip_plans(shifted, problem.u_last, dt)
         angles, jacobian = subject.predictor.linearise(problem.state, plan)

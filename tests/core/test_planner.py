@@ -94,9 +94,7 @@ def law_of(soft: bool, blocked: bool) -> Struct:
     ends = np.cumsum(BLOCKS) - 1 if blocked else np.arange(H)
     tables = {}
     if blocked:
-        matrix = blocking()
-        moves = np.diff(matrix, axis=0, prepend=0.0)
-        tables = {"blocking": matrix, "constant": 2.0 * (RATE * moves.T @ moves + EFFORT * matrix.T @ matrix)}
+        tables = {"blocking": blocking()}
     return struct(
         "hystmpc_law",
         horizon=H,
@@ -106,7 +104,6 @@ def law_of(soft: bool, blocked: bool) -> Struct:
         lower=LOWER,
         upper=UPPER,
         reach=REACH,
-        rate_weight=RATE,
         effort_weight=EFFORT,
         soft_weight=SOFT if soft else 0.0,
         tracking=TRACKING,
@@ -122,7 +119,7 @@ def damped(reference: int, _: int, scalars: int, jacobian: int, commands: int, a
         return NO_JACOBIAN
     missed = np.append(view(reference, H) - view(angles, H), np.zeros(H))
     wanted = view(commands, H) + np.linalg.lstsq(np.vstack([view(jacobian, H, H), np.eye(H)]), missed)[0]
-    plan, last = view(out, H + 1), view(scalars, 3)[0]
+    plan, last = view(out, H + 1), view(scalars, 4)[0]
     for k in range(H):
         plan[k] = last = np.clip(wanted[k], max(LOWER, last - REACH), min(UPPER, last + REACH))
     plan[H] = 0.0
@@ -218,6 +215,7 @@ def improve(planner: Struct, problem: Problem, draws: int = 3, soft: bool = Fals
         reference=problem.reference,
         feedforward=problem.start,
         u_last=changes.get("u_last", problem.u_last),
+        rate_weight=RATE,
         low=problem.limits[0],
         high=problem.limits[1],
     )

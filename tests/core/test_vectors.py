@@ -273,7 +273,7 @@ class Posed:
     def task(self, axes: tuple[int, ...] = (0, 1)) -> PlanningTask:
         task = None
         for i in reversed(axes):
-            task = PlanningTask(self.last[i], self.wanted[i], self.feed[i], (-0.4, 0.6), task)
+            task = PlanningTask(self.last[i], FREE_WEIGHTS[i].rate, self.wanted[i], self.feed[i], (-0.4, 0.6), task)
         assert task is not None
         return task
 

@@ -50,7 +50,7 @@ class Problem:
         excess = np.maximum(angles - task.angle_limits[1], 0.0) + np.maximum(task.angle_limits[0] - angles, 0.0)
         soft = weights.soft_limit if weights.limits_angle else 0.0
         moves = np.diff(commands, prepend=task.u_last)
-        terms = weights.over(horizon) * (angles - task.reference) ** 2 + weights.rate * moves**2
+        terms = weights.over(horizon) * (angles - task.reference) ** 2 + task.rate_weight * moves**2
         return float(np.sum(terms + weights.effort * (commands - task.feedforward) ** 2 + soft * excess**2))
 
 
@@ -59,7 +59,7 @@ def posed(case: Case, horizon: int, seed: int = 0) -> Problem:
     random = np.random.default_rng(seed)
     state, u_last = case.predictor.initial(40.0, 2.0), 2.0
     commands = LIMITS.clip_plans(u_last + np.cumsum(random.normal(0, 0.1, horizon)), u_last, DT)
-    task = PlanningTask(u_last, 40.0 + np.cumsum(random.normal(0, 3.0, horizon)), commands - 0.05, SOFT_DEG)
+    task = PlanningTask(u_last, 1.0, 40.0 + np.cumsum(random.normal(0, 3.0, horizon)), commands - 0.05, SOFT_DEG)
     return Problem(state, task, commands, case.predictor.rollout(state, commands[None])[0])
 
 

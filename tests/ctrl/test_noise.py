@@ -23,8 +23,9 @@ RANGE = math.sqrt(6.0)  # of the commands of all models here [mm], under the roo
 
 
 def sigmas(estimator: Watcher, estimate: Seen) -> tuple[float, float, float]:
-    """Estimated sigmas of sensor, drift and motion: geometric means over the filters."""
-    sensor, drift, motion = np.exp(0.5 * (estimator.bank._logs @ estimate.bank[2])).tolist()
+    """Estimated sigmas of sensor, drift and motion: geometric means over the filters of a model that is not close."""
+    weights = estimate.bank[2] * (estimator.bank._widest > 1.0)
+    sensor, drift, motion = np.exp(0.5 * (estimator.bank._logs @ weights) / weights.sum()).tolist()
     return sensor, drift, motion
 
 

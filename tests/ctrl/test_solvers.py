@@ -109,7 +109,9 @@ def controller_for(
 ) -> GuardedController:
     """A linearised controller whose holds are not shortened by the hold rule; `options` solve by OSQP."""
     given: dict[str, Any] = {"adaptation": None, "move_blocking": blocks, "solver": "osqp" if options else "active_set"}
-    settings = LinearisedMpcSettings(hold=HoldSettings(tolerance_deg=0.0), **given)
+    settings = LinearisedMpcSettings(
+        hold=HoldSettings(tolerance_deg=0.0), weights=WeightsSettings(rate=3.0), **given
+    )  # OSQP's tolerance is in the cost: a small weight on moves leaves them open
     solution = None
     if options is not None:
         horizon = settings.preview_samples(predictor.dt)
