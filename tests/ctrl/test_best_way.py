@@ -1,0 +1,153 @@
+"""The predictive controller is no worse than its own inverse, nor a sensor than none, where the model is right; and what
+is learned never stops it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hystmpc
+from hystmpc.ctrl.build import build_controller, pair_for
+from hystmpc.ctrl.command import limits_of_model
+from hystmpc.ctrl.config import parse_controller
+from hystmpc.ctrl.estimation.observer import EstimatorSettings
+from hystmpc.ctrl.mpc_settings import WeightsSettings
+from hystmpc.models.contract.metadata import NoiseModel
+from hystmpc.models.operators.dynamics import Delay, Servo
+from hystmpc.models.operators.operator import Operator
+from hystmpc.models.operators.slow_changes import Creep
+from hystmpc.models.prediction.build import ControllerModel, controller_model
+from hystmpc.models.simulator import ChainModel
+from hystmpc.trials.types import Vec
+
+from .observing import Watcher
+from .plays import Lag
+from .test_noise import run
+
+DT, LEAD_IN, APPROACH = 0.04, 50, 75
+SERVO = Servo(0.13, 0.8, 0)
+DRIVES: dict[str, tuple[Operator, ...]] = {
+    "none": (),
+    "delay": (Delay.at_rate(0.08, DT),),
+    "creep": (Creep((-0.1,), (3.0,)),),
+    "servo": (SERVO,),
+}
+
+
+def known(drive: str) -> ControllerModel:
+    own = hystmpc.load_model("builtin:backlash").simulator
+    return controller_model(ChainModel(replace(own, chain=replace(own.chain, before=DRIVES[drive])), "conditioned"))
+
+
+def reference(model: ControllerModel, hz: float) -> Vec:
+    """A ramp from rest, then a scan that grows out of a hold."""
+    predictor, limits = model.predictive[0], limits_of_model(model.facts)
+    ends = np.array([np.full(100, limits.lower), np.full(100, limits.upper)])
+    low, high = predictor.rollout(predictor.initial(30.0, limits.lower), ends)[:, -1]
+    t, middle = DT * np.arange(300), 0.5 * (low + high)
+    grown = np.clip(t, 0.0, 1.0) ** 2 * (3.0 - 2.0 * np.clip(t, 0.0, 1.0))
+    scan = middle + grown * 0.1 * (high - low) * np.sin(2.0 * np.pi * hz * t)
+    return np.concatenate([np.linspace(low, middle, LEAD_IN), np.full(APPROACH - LEAD_IN, middle), scan])
+
+
+def error(model: ControllerModel, kind: str, hz: float, sensor: str, noise: float = 0.0, seed: int = 0, more: Any = None) -> float:
+    """RMSE of the true angle behind the approach, on a device that is its model [deg]."""
+    settings = parse_controller({"kind": kind, "estimator": {"sensor": sensor}, **(more or {})}, "controller")
+    limits, predictor, wanted = limits_of_model(model.facts), model.predictive[0], reference(model, hz)
+    controller, random = build_controller(settings, *pair_for(settings, model), limits), np.random.default_rng(seed)
+    y, x = predictor.advance(predictor.initial(30.0, limits.lower), limits.lower)
+    state, off = controller.init(y, limits.lower), []
+    ahead = np.append(wanted, np.full(controller.horizon, wanted[-1]))
+    for k in range(wanted.size):
+        command, state = controller.step(state, y + noise * random.standard_normal(), ahead[k : k + controller.horizon])
+        y, x = predictor.advance(x, command.u)
+        off.append(y - wanted[k])
+    return float(np.sqrt(np.mean(np.square(off[APPROACH:]))))
+
+
+@pytest.mark.parametrize("hz", [0.2, 0.6])
+@pytest.mark.parametrize("drive", ["none", "delay", "creep"])
+def test_an_exact_model_is_followed_as_well_as_by_its_inverse(drive: str, hz: float) -> None:
+    model = known(drive)
+    assert error(model, "linearised_mpc", hz, "none") <= error(model, "inverse", hz, "none") * (1.0 + 1e-6)
+
+
+@pytest.mark.parametrize("hz", [0.2, 0.6])
+@pytest.mark.parametrize("drive", ["none", "delay", "servo"])
+def test_a_noisy_sensor_does_not_harm_where_the_model_is_right(drive: str, hz: float) -> None:
+    """To a hundredth of a degree, a fifteenth of the noise: the exact model alone leaves next to nothing."""
+    model = known(drive)
+    errors = [error(model, "linearised_mpc", hz, "continuous", 0.15, seed) for seed in range(3)]
+    assert np.sqrt(np.mean(np.square(errors))) <= 1.05 * error(model, "linearised_mpc", hz, "none") + 0.01
+
+
+def closeness(offset: float, seconds: float) -> float:
+    """Weight of the filters of a close model after a noisy scan of a device that is off its model by `offset` [deg]."""
+    estimator = Watcher(Lag(), EstimatorSettings())
+    random, commands = np.random.default_rng(3), 3.0 - 2.5 * np.cos(0.5 * np.pi * DT * np.arange(round(seconds / DT)))
+    found = run(estimator, commands, offset * commands + 0.15 * random.standard_normal(commands.size))[-1]
+    return float(found.bank[2][estimator.bank._widest < 1.0].sum())
+
+
+def test_a_model_is_known_to_be_close_or_not_after_a_few_seconds() -> None:
+    """Its file says nothing, so that close is 0.1 deg: an exact model, and one whose gain is off by 2 deg/mm."""
+    assert closeness(0.0, 10.0) > 0.8
+    assert closeness(2.0, 2.0) < 0.05
+
+
+@pytest.mark.parametrize("error_deg", [0.02, 0.1, 0.5])
+def test_the_error_of_a_close_model_keeps_its_variance(error_deg: float) -> None:
+    """A filter of the greatest variance s^2 without measurements: s^2 for good, and a disturbance that returns to zero."""
+    noise = NoiseModel(
+        sensor_sigma_deg=0.1,
+        drift_sigma_deg_per_sqrt_s=0.1,
+        motion_sigma_deg_per_sqrt_unit=0.2,
+        model_sigma_deg=error_deg,
+    )
+    estimator = Watcher(type("Told", (Lag,), {"noise": noise})(), EstimatorSettings())
+    estimate = estimator.init(20.0, 0.0).copy()
+    close = estimator.bank._widest < 1.0
+    estimate.bank[0] = error_deg
+    for k in range(500):
+        estimate = estimator.advance(estimate, 3.0 + 3.0 * (-1.0) ** k)
+    np.testing.assert_allclose(estimate.bank[1][close], error_deg**2, rtol=1e-9)
+    assert np.all(np.abs(estimate.bank[0][close]) < 0.5 * error_deg)
+
+
+def test_moves_cost_what_the_probability_of_a_close_model_says() -> None:
+    """One weight where one is given; without a sensor the model is all there is."""
+    both = WeightsSettings()
+    assert both.rate_close < both.rate
+    assert WeightsSettings(rate=2.0).rate_close == 2.0
+    assert WeightsSettings.model_validate({"rate": 2.0, "rate_close": 0.5}).rate_close == 0.5
+    model = known("none")
+    fixed = {"weights": {"rate": both.rate_close}}
+    ours = error(model, "linearised_mpc", 0.2, "none")
+    assert ours == error(model, "linearised_mpc", 0.2, "none", more=fixed)
+    assert ours < error(model, "linearised_mpc", 0.2, "none", more={"weights": {"rate": both.rate}})
+
+
+def test_a_device_that_has_not_answered_is_still_moved() -> None:
+    """Its play is three times that of the model and a half of the range. The filters learn a model that does not answer,
+    and a plan on such a model would stand still for good.
+    """
+    model = known("none")
+    simulator = hystmpc.load_model("builtin:backlash").simulator
+    core = simulator.chain.core
+    wide = replace(simulator, chain=replace(simulator.chain, core=replace(core, c_lo=core.c_up + 3.0)))
+    device = controller_model(ChainModel(wide, "conditioned")).predictive[0]
+    limits = limits_of_model(model.facts)
+    settings = parse_controller({"kind": "linearised_mpc", "estimator": {"rest_tolerance_deg": 360.0}}, "controller")
+    controller = build_controller(settings, *pair_for(settings, model), limits)
+    start, goal = device.rollout(device.initial(40.0, 0.0), np.array([np.full(50, 0.0), np.full(50, 5.0)]))[:, -1]
+    y, x = float(start), device.initial(float(start), 0.0)
+    state = controller.init(y, 0.0)
+    for k in range(400):
+        wanted = start + (goal - start) * min(k / 50.0, 1.0)
+        command, state = controller.step(state, y, np.full(controller.horizon, wanted))
+        y, x = device.advance(x, command.u)
+    assert abs(y - goal) < 0.3
