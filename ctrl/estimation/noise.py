@@ -79,9 +79,7 @@ class NoiseBank:
         size: number of filters M.
     """
 
-    def __init__(
-        self, given: Sigmas, predictor: Predictor, limit_deg: float, kind: str = "continuous"
-    ) -> None:
+    def __init__(self, given: Sigmas, predictor: Predictor, limit_deg: float, kind: str = "continuous") -> None:
         low, high = predictor.command_range
         known = predictor.noise or _UNKNOWN
         usual = max(known.sensor_sigma_deg, _LEAST_SENSOR_DEG)
@@ -139,7 +137,7 @@ class NoiseBank:
     def ahead(self, bank: Vec, travels: Vec, mean: float) -> Vec:
         """Variance about the disturbance d = `mean` at the ends of coming samples without a measurement (H,) [deg^2].
 
-            sum_i w_i (F_ik P_i + (1 - F_ik) s_i^2 + (F_ik^(1/2) d_i - d)^2),   F_ik = prod_{j<=k} 1 / (1 + q_ij / s_i^2)
+        sum_i w_i (F_ik P_i + (1 - F_ik) s_i^2 + (F_ik^(1/2) d_i - d)^2),   F_ik = prod_{j<=k} 1 / (1 + q_ij / s_i^2)
         """
         offset, variance, weight = bank
         steps = self._drift + travels[:, None] * self._motion
