@@ -24,8 +24,8 @@ class WeightsSettings(Settings):
         tracking: squared angle error [1/deg^2].
         terminal: factor on `tracking` at the last sample.
         rate: squared command change per sample [1/mm^2 or 1/bar^2].
-        rate_close: the same as far as the model is as close to the device as its file says, and without a sensor; `rate`
-            where that alone is given. In between it is weighted by the probability of the filters, see `NoiseBank`.
+        rate_close: the same where the model is as close to the device as its file says, and without a sensor; `rate`
+            where that alone is given. In between they are weighted by the probability of that, see `NoiseBank`.
         effort: squared distance from the inverse plan [1/mm^2 or 1/bar^2].
         soft_limit: squared excess over the soft angle limits [1/deg^2].
         angle_lower_deg, angle_upper_deg: soft limits of the angle [deg]; null for none.

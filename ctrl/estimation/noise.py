@@ -43,15 +43,16 @@ class NoiseBank:
 
     Filter i holds one triple of sigmas on a fixed grid. Its disturbance d_i has the variance P_i, at most s_i^2:
 
-        f_i^2 = 1 / (1 + q_i / s_i^2),   d_i <- f_i d_i,   P_i <- f_i^2 (P_i + q_i),   q_i = drift_i^2 dt + motion_i^2 |du|
+        q_i = drift_i^2 dt + motion_i^2 |du|,   f_i^2 = 1 / (1 + q_i / s_i^2)
+        d_i <- f_i d_i,   P_i <- f_i^2 (P_i + q_i)
         S_i = P_i + sensor_i^2,   K_i = min(P_i / S_i, 1/2),   d_i <- d_i + K_i (z - d_i)
         P_i <- (1 - K_i)^2 P_i + K_i^2 sensor_i^2,   w_i <- w_i p(z - d_i; S_i) / sum_j w_j p(z - d_j; S_j)
         d = sum_i w_i d_i,   P = sum_i w_i (P_i + (d_i - d)^2)
 
     Where the model is wrong the disturbance walks anywhere: s is `limit_deg`. Where it is as close to the device as its
-    file says, its error returns to zero: s is `model_sigma_deg` of the file, and drift is s (2 / 10 s)^(1/2). Such filters
-    stand at the end of the grid, with every sensor and motion. The sum of their weights is the probability that the model
-    is close. It decides how much the estimate of now may move a plan; see `WeightsSettings.rate_close`.
+    file says, its error returns to zero: s is `model_sigma_deg` of the file, and drift is s (2 / 10 s)^(1/2). Such
+    filters stand at the end of the grid, with every sensor and motion. The sum of their weights is the probability that
+    the model is close. It decides how much the estimate of now may move a plan, see `WeightsSettings`.
 
     The weights are the probabilities of the triples (Magill, "Optimal adaptive estimation of sampled stochastic
     processes", IEEE Transactions on Automatic Control 10, 1965). p is Student's density with 7 degrees of freedom and
@@ -72,8 +73,8 @@ class NoiseBank:
     Args:
         predictor: of the model, with what its file says about these sigmas.
         limit_deg: bound of the disturbance [deg].
-        kind: of the sensor, `continuous` or `intermittent`. Few and noisy measurements say little against a model: it counts as close
-            with a probability of 0.95 at first, with a continuous sensor of 0.5.
+        kind: of the sensor, `continuous` or `intermittent`. Few and noisy measurements say little against a model: it
+            counts as close with a probability of 0.95 at first, with a continuous sensor of 0.5.
 
     Attributes:
         size: number of filters M.
@@ -137,7 +138,8 @@ class NoiseBank:
     def ahead(self, bank: Vec, travels: Vec, mean: float) -> Vec:
         """Variance about the disturbance d = `mean` at the ends of coming samples without a measurement (H,) [deg^2].
 
-        sum_i w_i (F_ik P_i + (1 - F_ik) s_i^2 + (F_ik^(1/2) d_i - d)^2),   F_ik = prod_{j<=k} 1 / (1 + q_ij / s_i^2)
+        sum_i w_i (F_ik P_i + (1 - F_ik) s_i^2 + (F_ik^(1/2) d_i - d)^2)
+        F_ik = prod_{j<=k} 1 / (1 + q_ij / s_i^2)
         """
         offset, variance, weight = bank
         steps = self._drift + travels[:, None] * self._motion
