@@ -39,7 +39,7 @@ _NUMBERS: Mapping[str, Any] = MappingProxyType(
 
 _COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 _DEFINED = re.compile(r"^#define (\w+) (0x[0-9A-Fa-f]+|\d+)\s*$", re.MULTILINE)
-_ENUM = re.compile(r"\benum\s*\w*\s*\{([^}]*)\}")
+_ENUM = re.compile(r"\benum\s*\w*\s*\{([^}(]*)\}")  # one made by macros is no name of Python's
 _STRUCT = re.compile(r"typedef struct\s*(?:\w+\s*)?\{([^}]*)\}\s*(\w+);")
 _FUNCTION = re.compile(r"(\w+) \(\*(\w+)\)\((.*)\)", re.DOTALL)
 _PLAIN = re.compile(r"(\w+)\s*(.*)", re.DOTALL)
