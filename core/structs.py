@@ -106,7 +106,8 @@ class Declarations:
 
     def _type(self, field: Field) -> Any:
         if field.arguments is not None:
-            return ctypes.CFUNCTYPE(_NUMBERS[field.kind], *field.arguments)
+            result = None if field.kind == "void" else _NUMBERS[field.kind]
+            return ctypes.CFUNCTYPE(result, *field.arguments)
         kind = ctypes.c_void_p if field.stars else _NUMBERS.get(field.kind) or self.layout(field.kind)
         for dimension in reversed(field.dimensions):
             kind = kind * dimension
