@@ -21,7 +21,7 @@ void hystmpc_chain_rest(const int *chain, const real *constants, int stage, int 
                             parameter_rows, R(0.0), row, 1, room);
         row[p.kept] = seen[n];
         row[p.kept + 2] = u[n];
-        for (int phase = PHASE_AHEAD; phase <= PHASE_SLOPES; phase++)
+        for (int phase = PHASE_AHEAD; phase <= PHASE_BY_PARAMETERS; phase++)
             hystmpc_code_single(p.code[phase], p.length[phase], row);
         for (int i = 0; i < p.outputs; i++) {
             real *to = m + (i * rows + n) * directions;
