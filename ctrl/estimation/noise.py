@@ -22,7 +22,7 @@ _LEAST_SENSOR_DEG = 0.02  # a model of simulated trials without noise gives no i
 _SENSOR_FACTORS: Vec = 2.0 ** np.arange(-3.0, 3.1, 0.5)  # factors on the prior value
 _DRIFT: Vec = 0.001 * 3.0 ** np.arange(8, dtype=np.float64)  # deg/sqrt(s), up to 2.2
 _MOTION: Vec = 0.0016 * 4.0 ** np.arange(7, dtype=np.float64)  # deg over the root of the range of commands
-_CLOSE = {"continuous": 0.5, "intermittent": 0.95}  # probability that a model is as close as its file says, at first
+_CLOSE = 0.5  # probability that a model is as close as its file says, at first
 _RETURNS_S = 10.0  # time constant with which the error of such a model returns to zero in a hold
 _LEAST_MODEL_DEG = 0.01  # a model of simulated trials has no error there
 _SWITCHING_S = 20.0  # mean time between changes of the model's error
@@ -73,14 +73,12 @@ class NoiseBank:
     Args:
         predictor: of the model, with what its file says about these sigmas.
         limit_deg: bound of the disturbance [deg].
-        kind: of the sensor, `continuous` or `intermittent`. Few and noisy measurements say little against a model: it
-            counts as close with a probability of 0.95 at first, with a continuous sensor of 0.5.
 
     Attributes:
         size: number of filters M.
     """
 
-    def __init__(self, given: Sigmas, predictor: Predictor, limit_deg: float, kind: str = "continuous") -> None:
+    def __init__(self, given: Sigmas, predictor: Predictor, limit_deg: float) -> None:
         low, high = predictor.command_range
         known = predictor.noise or _UNKNOWN
         usual = max(known.sensor_sigma_deg, _LEAST_SENSOR_DEG)
@@ -95,7 +93,7 @@ class NoiseBank:
         close = max(float(error or 0.0), _LEAST_MODEL_DEG)
         if self._close:
             drift = np.append(drift, close * math.sqrt(2.0 / _RETURNS_S))
-            by_drift = np.append((1.0 - _CLOSE[kind]) * by_drift, _CLOSE[kind])
+            by_drift = np.append((1.0 - _CLOSE) * by_drift, _CLOSE)
         grid = np.array([axis.ravel() for axis in np.meshgrid(sensor, drift, motion, indexing="ij")])
         self._limit, self._counts = limit_deg, (sensor.size, drift.size, motion.size)
         self._sensor, self._drift, self._motion = grid[0] ** 2, predictor.dt * grid[1] ** 2, grid[2] ** 2

@@ -242,7 +242,7 @@ class EstimatorSettings(SensorKindSettings):
             return Observer(part, predictor)
         frames = self.sensor == "intermittent"
         sigmas = self.sensor_sigma_deg, self.drift_sigma_deg_per_sqrt_s, self.motion_sigma_deg_per_sqrt_unit
-        bank = NoiseBank(sigmas, predictor, self.disturbance_limit_deg, self.sensor)
+        bank = NoiseBank(sigmas, predictor, self.disturbance_limit_deg)
         low, high = predictor.command_range
         part = struct(
             "hystmpc_sensing",
