@@ -44,7 +44,7 @@ HYSTMPC_LOCAL real hystmpc_sensor_variance(const hystmpc_sensing *s, const hystm
  *     1 - c (1 - s),   s = sum_j m_j z_j / (sum_j m_j^2 + doubt * sensor^2),   0 <= s <= 1
  *
  * s is the share of least error; a correction that only follows noise vanishes. A device that has changed is followed at
- * once. */
+ * once. Frames are few: they are believed as far as s, whether the model is close or not. */
 HYSTMPC_LOCAL real hystmpc_believed(const hystmpc_sensing *s, const hystmpc_extent *n, const hystmpc_estimate *e);
 
 /* frames.c: the updates of an observer of frames, with its past. */

@@ -191,6 +191,7 @@ HYSTMPC_LOCAL real hystmpc_believed(const hystmpc_sensing *s, const hystmpc_exte
     if (!s->logs) return R(1.0);
     const real noise = hystmpc_sensor_variance(s, n, e->bank);
     const real share = clamp(e->known->earned[0] / (e->known->earned[1] + s->doubt * noise), R(0.0), R(1.0));
+    if (s->sensor == HYSTMPC_FRAMES) return share; /* few as they are, one alone says nothing */
     return R(1.0) - hystmpc_noise_close(s->noise, e->bank) * (R(1.0) - share);
 }
 
