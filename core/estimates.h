@@ -35,9 +35,6 @@ HYSTMPC_LOCAL void hystmpc_disturbance_advance(const hystmpc_sensing *s, const h
 HYSTMPC_LOCAL void hystmpc_estimate_advance(const hystmpc_sensing *s, const hystmpc_extent *n, hystmpc_estimate *e,
                                             real u, const real *next, real angle);
 
-/* Estimated variance of the sensor noise: the geometric mean over the filters [deg^2]. */
-HYSTMPC_LOCAL real hystmpc_sensor_variance(const hystmpc_sensing *s, const hystmpc_extent *n, const real *bank);
-
 /* How far the disturbance is believed, from 0 to 1: where the model is close, with the probability c, only as far as the
  * bank's mean m has foretold the offsets z of the last seconds,
  *
@@ -45,7 +42,7 @@ HYSTMPC_LOCAL real hystmpc_sensor_variance(const hystmpc_sensing *s, const hystm
  *
  * s is the share of least error; a correction that only follows noise vanishes. A device that has changed is followed at
  * once. Frames are few: they are believed as far as s, whether the model is close or not. */
-HYSTMPC_LOCAL real hystmpc_believed(const hystmpc_sensing *s, const hystmpc_extent *n, const hystmpc_estimate *e);
+HYSTMPC_LOCAL real hystmpc_believed(const hystmpc_sensing *s, const hystmpc_estimate *e);
 
 /* frames.c: the updates of an observer of frames, with its past. */
 HYSTMPC_LOCAL void hystmpc_frames_init(hystmpc_observed *o, real y);

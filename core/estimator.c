@@ -98,7 +98,8 @@ HYSTMPC_LOCAL real hystmpc_noise_correct(const hystmpc_noise *n, real *bank, rea
         prior_weights(n, w);
         BANK_SUM(total, count, w[i])
     }
-    for (int i = 0; i < count; i++) w[i] /= total;
+    total = R(1.0) / total;
+    for (int i = 0; i < count; i++) w[i] *= total;
     BANK_SUM(off, count, w[i] * (d[i] - d[0]))
     *mean = d[0] + off;
     return mixed_variance(bank, count, *mean);
@@ -107,13 +108,15 @@ HYSTMPC_LOCAL real hystmpc_noise_correct(const hystmpc_noise *n, real *bank, rea
 /* d <- f d, P <- f^2 (P + q), f^2 = 1 / (1 + q / s^2), q the variance of the step and s^2 the greatest one: a walk that
  * returns to zero, of variance s^2 at any time. */
 HYSTMPC_LOCAL real hystmpc_noise_advance(const hystmpc_noise *n, real *bank, real travel, real mean) {
-    const int models = bank_models(n), count = n->sensors * models;
-    for (int i = 0; i < models; i++) {
-        const real step = n->drift_variances[i / n->motions] + n->motion_variances[i % n->motions] * travel;
-        const real squared = R(1.0) / (R(1.0) + step / n->most_variances[i]), kept = MATH(sqrt)(squared);
-        for (int j = i; j < count; j += models) {
-            bank[j] *= kept;
-            bank[count + j] = squared * (bank[count + j] + step);
+    const int count = n->sensors * bank_models(n);
+    for (int j = 0; j < n->sensors * n->drifts; j++) {
+        const real drift = n->drift_variances[j % n->drifts], *most_variance = n->most_variances + j % n->drifts * n->motions;
+        real *d = bank + j * n->motions, *p = d + count;
+        for (int i = 0; i < n->motions; i++) {
+            const real step = drift + n->motion_variances[i] * travel;
+            const real squared = R(1.0) / (R(1.0) + step / most_variance[i]);
+            d[i] *= MATH(sqrt)(squared);
+            p[i] = squared * (p[i] + step);
         }
     }
     return mixed_variance(bank, count, mean);
@@ -126,6 +129,22 @@ HYSTMPC_LOCAL real hystmpc_noise_close(const hystmpc_noise *n, const real *bank)
     for (int j = 0; j < n->sensors; j++)
         for (int i = far; i < models; i++) total += w[j * models + i];
     return total;
+}
+
+HYSTMPC_LOCAL real hystmpc_noise_mean(const hystmpc_noise *n, const real *bank) {
+    const int count = n->sensors * bank_models(n);
+    const real *d = bank, *w = bank + 2 * count;
+    real total;
+    BANK_SUM(total, count, w[i] * d[i])
+    return total;
+}
+
+HYSTMPC_LOCAL real hystmpc_noise_sensor(const hystmpc_noise *n, const real *bank, const real *logs) {
+    const int count = n->sensors * bank_models(n);
+    const real *w = bank + 2 * count;
+    real total;
+    BANK_SUM(total, count, w[i] * logs[i])
+    return MATH(exp)(total);
 }
 
 #undef BANK_BY_FREEDOM

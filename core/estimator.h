@@ -37,4 +37,8 @@ HYSTMPC_LOCAL real hystmpc_noise_advance(const hystmpc_noise *n, real *bank, rea
 /* Probability of the filters in which the model is close to the device. */
 HYSTMPC_LOCAL real hystmpc_noise_close(const hystmpc_noise *n, const real *bank);
 
+/* The disturbance [deg]; variance of the sensor, the geometric mean over the filters, `logs` those of their variances (M). */
+HYSTMPC_LOCAL real hystmpc_noise_mean(const hystmpc_noise *n, const real *bank);
+HYSTMPC_LOCAL real hystmpc_noise_sensor(const hystmpc_noise *n, const real *bank, const real *logs);
+
 #endif

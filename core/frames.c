@@ -122,7 +122,7 @@ static void frames_renew(const hystmpc_sensing *s, const hystmpc_model *m, const
         const real change = added[0] - e.known->added;
         for (int i = 0; i < n->angles; i++) e.angles[i] = e.alone[i] + added[i];
         for (int i = 0; i < n->bank / 3; i++) e.bank[i] -= change;
-        e.known->disturbance -= hystmpc_believed(s, n, &e) * change;
+        e.known->disturbance -= hystmpc_believed(s, &e) * change;
         e.known->added = added[0];
     }
 }
@@ -136,7 +136,7 @@ HYSTMPC_LOCAL void hystmpc_frames_teach(const hystmpc_sensing *s, const hystmpc_
     if (s->oldest < 1 || frames_known(s, o) < s->oldest) return;
     const hystmpc_estimate e = hystmpc_estimate_at(&n, frames_block(s, &n, o, 0));
     const hystmpc_estimate next = hystmpc_estimate_at(&n, frames_block(s, &n, o, 1));
-    const real variance = hystmpc_sensor_variance(s, &n, e.bank), acted = l->filters->share;
+    const real variance = hystmpc_noise_sensor(s->noise, e.bank, s->logs), acted = l->filters->share;
     hystmpc_learner taught = *m->learner;
     int used = 0;
     taught.noise = most(taught.noise, FRAMES_NOISE * variance);

@@ -179,32 +179,23 @@ HYSTMPC_LOCAL int hystmpc_observer_init(const hystmpc_sensing *s, const hystmpc_
     return HYSTMPC_STARTED;
 }
 
-HYSTMPC_LOCAL real hystmpc_sensor_variance(const hystmpc_sensing *s, const hystmpc_extent *n, const real *bank) {
-    const int filters = n->bank / 3;
-    const real *w = bank + 2 * filters;
-    real total = R(0.0);
-    for (int i = 0; i < filters; i++) total += s->logs[i] * w[i];
-    return MATH(exp)(total);
-}
-
-HYSTMPC_LOCAL real hystmpc_believed(const hystmpc_sensing *s, const hystmpc_extent *n, const hystmpc_estimate *e) {
+HYSTMPC_LOCAL real hystmpc_believed(const hystmpc_sensing *s, const hystmpc_estimate *e) {
     if (!s->logs) return R(1.0);
-    const real noise = hystmpc_sensor_variance(s, n, e->bank);
+    const real noise = hystmpc_noise_sensor(s->noise, e->bank, s->logs);
     const real share = clamp(e->known->earned[0] / (e->known->earned[1] + s->doubt * noise), R(0.0), R(1.0));
     if (s->sensor == HYSTMPC_FRAMES) return share; /* few as they are, one alone says nothing */
     return R(1.0) - hystmpc_noise_close(s->noise, e->bank) * (R(1.0) - share);
 }
 
 /* The bank with an offset used, and the disturbance as far as it is believed, never away from the offset. */
-static void observer_believe(const hystmpc_sensing *s, const hystmpc_extent *n, hystmpc_estimate *e, real offset) {
-    const int filters = n->bank / 3;
+static void observer_believe(const hystmpc_sensing *s, hystmpc_estimate *e, real offset) {
     hystmpc_known *known = e->known;
-    real before = R(0.0), mean;
-    for (int i = 0; i < filters; i++) before += e->bank[i] * e->bank[2 * filters + i];
+    const real before = hystmpc_noise_mean(s->noise, e->bank);
+    real mean;
     const real variance = hystmpc_noise_correct(s->noise, e->bank, offset, &mean);
     known->earned[0] += before * offset;
     known->earned[1] += before * before;
-    const real old = known->disturbance, wanted = hystmpc_believed(s, n, e) * mean;
+    const real old = known->disturbance, wanted = hystmpc_believed(s, e) * mean;
     known->disturbance = clamp(wanted, least(old, offset), most(old, offset));
     known->variance = variance + (mean - known->disturbance) * (mean - known->disturbance);
 }
@@ -219,7 +210,7 @@ HYSTMPC_LOCAL void hystmpc_estimate_correct(const hystmpc_sensing *s, const hyst
     }
     known->measured = angle;
     known->missing = 0;
-    if (e->responsive[0] != R(0.0) && n->bank) observer_believe(s, n, e, offset);
+    if (e->responsive[0] != R(0.0) && n->bank) observer_believe(s, e, offset);
 }
 
 static void observer_drop_first(real *row, int count, real last) {
@@ -273,7 +264,7 @@ static void observer_correct_learned(const hystmpc_sensing *s, const hystmpc_mod
     const real change = l->added[0] - before;
     for (int i = 0; i < n->bank / 3; i++) o->now.bank[i] -= change;
     whole->disturbance -= change;
-    if (o->alone.responsive[0] != R(0.0) && n->bank) observer_believe(s, n, &o->now, offset - change);
+    if (o->alone.responsive[0] != R(0.0) && n->bank) observer_believe(s, &o->now, offset - change);
 }
 
 static void observer_correct_newest(const hystmpc_sensing *s, hystmpc_known *known, real y) {
@@ -357,9 +348,7 @@ HYSTMPC_LOCAL real hystmpc_observer_age(const hystmpc_observed *o) {
 }
 
 HYSTMPC_LOCAL real hystmpc_observer_sigma(const hystmpc_sensing *s, const hystmpc_observed *o) {
-    const hystmpc_noise *b = s->noise;
-    const hystmpc_extent n = {0, 0, b ? 3 * b->sensors * b->drifts * b->motions : 0, 0};
-    return MATH(sqrt)(o->now.known->variance) * hystmpc_believed(s, &n, &o->now);
+    return MATH(sqrt)(o->now.known->variance) * hystmpc_believed(s, &o->now);
 }
 
 HYSTMPC_LOCAL real hystmpc_observer_close(const hystmpc_sensing *s, const hystmpc_observed *o) {
