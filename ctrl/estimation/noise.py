@@ -29,7 +29,7 @@ _SWITCHING_S = 20.0  # mean time between changes of the model's error
 _MOST_GAIN = 0.5
 _FIRST = 100.0  # variance of the first disturbance in those of the sensor: the first measurements decide
 _ANYWHERE = 1e12  # deg^2, of a single filter
-_TINY = 1e-20  # deg^2: a sigma of zero has no logarithm
+_TINY = 1e-20  # deg^2: a sigma of zero has no logarithm, and nothing is divided by zero
 
 Sigmas = tuple[float | None, float | None, float | None]
 """Sensor, drift and motion as in `NoiseModel`; None for one that is to be found."""
@@ -102,7 +102,7 @@ class NoiseBank:
         self._switching = predictor.dt / (predictor.dt + _SWITCHING_S)
         self._most = _MOST_GAIN if grid.shape[1] > 1 else 1.0
         self._first = np.full(grid.shape[1], _FIRST * (given[0] or usual) ** 2)
-        self._widest = np.full(grid.shape[1], limit_deg**2 if grid.shape[1] > 1 else _ANYWHERE)
+        self._widest = np.full(grid.shape[1], max(limit_deg**2, _TINY) if grid.shape[1] > 1 else _ANYWHERE)
         if self._close:
             near = np.arange(grid.shape[1]) // motion.size % drift.size == drift.size - 1
             self._first[near] = self._widest[near] = close**2
