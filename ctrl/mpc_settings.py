@@ -44,8 +44,9 @@ class WeightsSettings(Settings):
     @classmethod
     def _one_rate(cls, data: Any) -> Any:
         """Fill in one weight on moves where one is given."""
-        if isinstance(data, dict) and "rate" in data:
-            data = {"rate_close": data["rate"], **data}
+        rate = data.get("rate") if isinstance(data, dict) else None
+        if isinstance(rate, int | float) and rate > 0:  # a wrong one is said once
+            data = {"rate_close": rate, **data}
         return data
 
     @property
