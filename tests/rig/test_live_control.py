@@ -32,10 +32,10 @@ from hystmpc.rig.transports.simulated import SimulatedSettings
 from hystmpc.trials.config import parse_yaml
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import RunFolder
+from hystmpc_lab.faults.forked import Forked
 from hystmpc_lab.faults.play import end
 
 from .bench_parts import RAMPS
-from .forked import Forked
 from .recording_samples import sample
 from .test_processes import RUN, SIMULATED
 from .test_run import DT, SETTINGS, Straight

@@ -22,12 +22,13 @@ from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.recording import by_manifest
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc_lab.faults.cases import CASES, Kind, Link, write_device, write_run
+from hystmpc_lab.faults.forked import Forked
 from hystmpc_lab.faults.judge import judge
 from hystmpc_lab.faults.play import device_log, end, play, start_device
 
 from ..cli.test_verbs import run as called
 from .brief import brief
-from .forked import Forked, forked
+from .forked import forked
 from .test_dds import needs_dds
 
 __all__ = ["forked"]

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from hystmpc.rig.safety.stop import StopFlag
+from hystmpc_lab.faults.forked import Forked
 
 from ..scripts import script
-from .forked import Forked, forked
+from .forked import forked
 
 __all__ = ["forked"]
 
