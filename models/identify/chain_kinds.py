@@ -5,6 +5,7 @@ To add such a kind: write the operator in `models/operators/` and its entry in `
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -229,6 +230,8 @@ Ends = Mapping[str, tuple[float, float]]
 
 
 _BANDS = 2  # dead zones of a `drdpi` on either side of the middle
+# Where the middle piece of a `drdpi` may begin, as share of the angles: a fit does not bring a piece to the other side.
+_MIDDLES = (0.5, 0.35, 0.65)
 _STEEPNESS_S = 0.04  # see `BoucWen`, times the range of the command, as in the code of S2
 # Change of the reference that an `inverse_backlash` takes for noise [deg], as in the code of S2; in working units, so
 # that it is as much of the range of any other device.
@@ -324,13 +327,13 @@ def _cores(chains: Sequence[Chain]) -> list[Operator]:
 
 
 def _drdpi_starts(trials: Sequence[Trial], e: Extent, plays: int) -> list[Operator]:
-    """Plays of each start of a `pi`, with dead zones over the angle that are the identity."""
-    middle, n = 0.5 * (e.low + e.high), _BANDS
-    ones, gaps = (1.0,) * n, (0.5 * (e.high - e.low) / (n + 1),) * n
-    starts: list[Operator] = []
-    for chain in prandtl_ishlinskii_starts(trials, plays):
-        *weights, b = chain.core.values
-        values = [*weights, b - middle, *ones, *ones, *gaps, *gaps, middle]
+    """Plays of each start of a `pi`, with dead zones over the angle that are the identity, about three middles."""
+    n, starts = _BANDS, list[Operator]()
+    for share, chain in itertools.product(_MIDDLES, prandtl_ishlinskii_starts(trials, plays)):
+        (*weights, b), below = chain.core.values, share * (e.high - e.low)
+        above, middle = e.high - e.low - below, e.low + below
+        gaps = [*[below / (n + 1)] * n, *[above / (n + 1)] * n]
+        values = [*weights, b - middle, *[1.0] * (2 * n), *gaps, middle]
         starts.append(Drdpi.template(plays=plays, below=n, above=n).with_values(values))
     return starts
 
