@@ -63,7 +63,7 @@ wheel-test: $(VENV)/.installed ## build sdist and wheels, install that of hystmp
 	$(VENV)/bin/python -m build --outdir "$$folder/lab" lab > "$$folder/build.log" || { cat "$$folder/build.log"; exit 1; }; \
 	ls "$$folder/dist" "$$folder/lab"; \
 	$(VENV)/bin/python -m venv "$$folder/venv"; \
-	"$$folder/venv/bin/python" $(INSTALL) "$$folder"/dist/*.whl pytest; \
+	"$$folder/venv/bin/python" $(INSTALL) "$$folder"/dist/*.whl pytest ziglang; \
 	cp -r tests/wheel "$$folder/wheel"; \
 	(cd "$$folder/wheel"; \
 	HYSTMPC_CHECKOUT="$(CURDIR)" HYSTMPC_WHEEL="$$(ls "$$folder"/dist/*.whl)" ../venv/bin/python -m pytest -q $(ARGS) .); \

@@ -76,22 +76,21 @@ class TrialTerms:
 
     @property
     def apart(self) -> bool:
-        """Whether a trial has a separate offset, see `common`."""
+        """Whether a trial has a separate offset, see `split`."""
         return self.shift or self.trial_offset
 
-    def common(self, run: Run, theta: Vec, both: Vec) -> Vec:
-        """Offset and, if fitted, gain times the spread of theta [deg] (1 or 2, Q + 1), the derivative first."""
-        columns = self.columns(run, theta, both)
-        scale = np.array([1.0, max(float(theta.std()), 1e-9)] if self.shift else [1.0])[:, None]
-        return np.asarray(scale * np.linalg.pinv(columns)[: len(scale)] @ both)
+    def split(self, run: Run, theta: Vec, both: Vec) -> tuple[Vec, Vec]:
+        """Split derivative and, in the last column, error (C, Q + 1) into what the terms do not explain and a mean.
 
-    def projected(self, run: Run, theta: Vec, both: Vec) -> Vec:
-        """Derivative and, in the last column, error (C, Q + 1), without the part explained by the terms."""
+        The mean is the offset and, if fitted, the gain times the spread of theta [deg] (1 or 2, Q + 1), see `apart`.
+        """
         columns = self.columns(run, theta, both)
         if not columns.shape[1]:
-            return both
-        basis = np.linalg.qr(columns)[0]
-        return both - basis @ (basis.T @ both)
+            return both, both[:0]
+        basis, triangle = np.linalg.qr(columns)
+        shares = basis.T @ both
+        scale = np.array([1.0, max(float(theta.std()), 1e-9)] if self.shift else [1.0])[:, None]
+        return both - basis @ shares, scale * np.linalg.pinv(triangle)[: len(scale)] @ shares
 
     def cross_fitted(self, run: Run, theta: Vec, error: Vec, by_q: Vec) -> Vec:
         """Error (C,) minus the terms, whose coefficients come from every other block of four seconds."""
@@ -243,7 +242,7 @@ class Problem:
     def error(self, q: Vec, run: Run) -> tuple[Vec, Vec]:
         """Angle minus measurement where it counts (C,) and its derivative (C, Q), without terms of the trial."""
         theta, both = self._pass(q, RunsTogether.of([run]))
-        left = self.terms.projected(run, theta[run.scored], both[run.scored])
+        left, _ = self.terms.split(run, theta[run.scored], both[run.scored])
         return left[:, -1], left[:, :-1]
 
     def held_out_errors(self, q: Vec, runs: Sequence[Run]) -> tuple[Vec, ...]:
@@ -270,9 +269,10 @@ class Problem:
         theta, both = self._pass(q, together)
         parts, common = [both[a:b] for a, b in together.spans], []
         if self.terms != NO_TERMS:
-            scored = [(run, theta[at][run.scored], both[at][run.scored]) for run, at in together.each()]
-            parts = [self.terms.projected(*pair) for pair in scored]
-            common = [self.terms.common(*pair) for pair in scored] if self.terms.apart else []
+            scored = [
+                self.terms.split(run, theta[at][run.scored], both[at][run.scored]) for run, at in together.each()
+            ]
+            parts, common = [left for left, _ in scored], [mean for _, mean in scored if self.terms.apart]
         parts = [whitened(part, white) for part in parts]
         return sum((part.T @ part for part in parts), np.zeros((q.size + 1, q.size + 1))), common
 
@@ -305,10 +305,11 @@ class Problem:
         """Set the derivatives of the states by command and angle at rest before, in the first columns."""
         command, angle = together.rests
         none, leads = np.empty((p.size, 0)), np.array([run.lead > 0 for run in together.runs])
-        for k, (du, dy) in enumerate(((_NUDGE, 0.0), (0.0, _NUDGE))):
-            moved = (self._staged.settled(command + du, angle + dy, together.dt_s, p, none)[0] - state) / _NUDGE
-            part = self._before if k == 0 else slice(self._before.stop, None)
-            moving[part, :, k] = moved[part] * leads
+        u, y = np.concatenate([command + _NUDGE, command]), np.concatenate([angle, angle + _NUDGE])
+        moved = self._staged.settled(u, y, together.dt_s, p, none)[0]
+        by = (moved.reshape(len(state), 2, -1) - state[:, None]) / _NUDGE * leads
+        for k, part in enumerate((self._before, slice(self._before.stop, None))):
+            moving[part, :, k] = by[part, k]
         for _, index in self._carried:
             moving[index, :, :_STARTS] = 0.0
 

@@ -324,16 +324,16 @@ def test_the_sources_compile_without_a_warning(version: FmuVersion, tmp_path: Pa
 
 
 @pytest.mark.slow
-def test_binaries_for_other_machines(tmp_path: Path) -> None:
+def test_a_binary_for_another_machine(tmp_path: Path) -> None:
+    """That for Windows takes a minute: it is made in tests/wheel."""
     pytest.importorskip("ziglang", reason="ziglang is a tool of development")
     plant = plant_of("pi")
-    export = export_fmu(plant.simulator, plant.rest, version="3.0", platforms=tuple(PLATFORMS))
-    assert export.platforms == ("linux64", "win64", "darwin64")
-    heads = {path.split("/")[1]: content[:4] for path, content in export.files.items() if path.startswith("binaries")}
-    assert heads["x86_64-linux"] == b"\x7fELF"
-    assert heads["x86_64-windows"][:2] == b"MZ"
-    assert heads["x86_64-darwin"] == bytes.fromhex("cffaedfe")
-    assert validate_fmu(str(export.write(tmp_path / "three.fmu"))) == []
+    export = export_fmu(plant.simulator, plant.rest, version="3.0", platforms=("linux64", "darwin64"))
+    assert export.platforms == ("linux64", "darwin64")
+    assert {"x86_64-linux", "x86_64-darwin"} == {
+        path.split("/")[1] for path in export.files if path.startswith("binaries")
+    }
+    assert validate_fmu(str(export.write(tmp_path / "two.fmu"))) == []
 
 
 def test_without_a_compiler_there_are_sources(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

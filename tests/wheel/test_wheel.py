@@ -89,3 +89,18 @@ def test_command_line_answers() -> None:
     done = subprocess.run([Path(sys.prefix, "bin", "hystmpc"), "--help"], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "Usage" in done.stdout
+
+
+def test_an_fmu_holds_binaries_for_other_machines(tmp_path: Path) -> None:
+    """Made by ziglang, whose first binary for Windows takes over a minute: it compiles its C library for it."""
+    pytest.importorskip("ziglang", reason="`make wheel-test` installs it")
+    platforms = [f"--platform={name}" for name in ("linux64", "win64", "darwin64")]
+    command = [Path(sys.prefix, "bin", "hystmpc"), "export-fmu", "builtin:pi", "--fmi=3.0", "--out=pi.fmu", *platforms]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    with zipfile.ZipFile(tmp_path / "pi.fmu") as fmu:
+        paths = [name for name in fmu.namelist() if name.startswith("binaries/")]
+        heads = {path.split("/")[1]: fmu.read(path)[:4] for path in paths}
+    assert heads["x86_64-linux"] == b"\x7fELF"
+    assert heads["x86_64-windows"][:2] == b"MZ"
+    assert heads["x86_64-darwin"] == bytes.fromhex("cffaedfe")
