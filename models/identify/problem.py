@@ -269,9 +269,7 @@ class Problem:
         theta, both = self._pass(q, together)
         parts, common = [both[a:b] for a, b in together.spans], []
         if self.terms != NO_TERMS:
-            scored = [
-                self.terms.split(run, theta[at][run.scored], both[at][run.scored]) for run, at in together.each()
-            ]
+            scored = [self.terms.split(run, theta[at][run.scored], both[at][run.scored]) for run, at in together.each()]
             parts, common = [left for left, _ in scored], [mean for _, mean in scored if self.terms.apart]
         parts = [whitened(part, white) for part in parts]
         return sum((part.T @ part for part in parts), np.zeros((q.size + 1, q.size + 1))), common

@@ -21,7 +21,6 @@ from typer.testing import CliRunner
 from hystmpc.cli.main import app
 from hystmpc.codegen import export_fmu
 from hystmpc.codegen.fmu import FmuVersion
-from hystmpc.codegen.fmu.export import PLATFORMS
 from hystmpc.models.chain import Chain, operators
 from hystmpc.models.load import library_file
 from hystmpc.models.operators.measurement import Sensor
