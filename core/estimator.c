@@ -108,15 +108,22 @@ HYSTMPC_LOCAL real hystmpc_noise_correct(const hystmpc_noise *n, real *bank, rea
 /* d <- f d, P <- f^2 (P + q), f^2 = 1 / (1 + q / s^2), q the variance of the step and s^2 the greatest one: a walk that
  * returns to zero, of variance s^2 at any time. */
 HYSTMPC_LOCAL real hystmpc_noise_advance(const hystmpc_noise *n, real *bank, real travel, real mean) {
-    const int count = n->sensors * bank_models(n);
-    for (int j = 0; j < n->sensors * n->drifts; j++) {
-        const real drift = n->drift_variances[j % n->drifts], *most_variance = n->most_variances + j % n->drifts * n->motions;
-        real *d = bank + j * n->motions, *p = d + count;
-        for (int i = 0; i < n->motions; i++) {
-            const real step = drift + n->motion_variances[i] * travel;
-            const real squared = R(1.0) / (R(1.0) + step / most_variance[i]);
-            d[i] *= MATH(sqrt)(squared);
-            p[i] = squared * (p[i] + step);
+    enum { ABREAST = 8 };
+    const int models = bank_models(n), count = n->sensors * models;
+    for (int first = 0; first < models; first += ABREAST) { /* the factors are those of every sensor */
+        const int width = models - first < ABREAST ? models - first : ABREAST;
+        real step[ABREAST], squared[ABREAST], root[ABREAST];
+        for (int i = 0; i < width; i++) {
+            step[i] = n->drift_variances[first + i] + n->motion_variances[first + i] * travel;
+            squared[i] = R(1.0) / (R(1.0) + step[i] / n->most_variances[first + i]);
+            root[i] = MATH(sqrt)(squared[i]);
+        }
+        for (real *d = bank + first; d < bank + count; d += models) {
+            real *restrict const p = d + count;
+            for (int i = 0; i < width; i++) {
+                d[i] *= root[i];
+                p[i] = squared[i] * (p[i] + step[i]);
+            }
         }
     }
     return mixed_variance(bank, count, mean);

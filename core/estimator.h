@@ -9,8 +9,8 @@
 typedef struct {
     int sensors, drifts, motions;
     const real *sensor_variances; /* of a measurement (sensors) */
-    const real *drift_variances;  /* of a walk in a sample (drifts) */
-    const real *motion_variances; /* of a walk over one unit of command travel (motions) */
+    const real *drift_variances;  /* of a walk in a sample (drifts, motions) */
+    const real *motion_variances; /* of a walk over one unit of command travel (drifts, motions) */
     const real *by_sensor;        /* probability of each sensor before anything was seen (sensors) */
     const real *by_model;         /* the same of drift and motion (drifts, motions) */
     const real *first_variances;  /* of the disturbance at the start (drifts, motions) */

@@ -109,13 +109,13 @@ class NoiseBank:
         self.size = grid.shape[1]
 
     def _tables(self) -> Mapping[str, Vec]:
-        """Tables of `hystmpc_noise` in core/estimator.h, axis by axis of the grid."""
+        """Tables of `hystmpc_noise` in core/estimator.h."""
         _, drifts, motions = self._counts
         models = drifts * motions
         return {
             "sensor_variances": self._sensor[::models],
-            "drift_variances": self._drift[:models:motions],
-            "motion_variances": self._motion[:motions],
+            "drift_variances": self._drift[:models],
+            "motion_variances": self._motion[:models],
             "by_sensor": self._by_sensor,
             "by_model": self._by_model,
             "first_variances": self._first[:models],
