@@ -216,20 +216,25 @@ static void add_tracking(hystmpc_qp *q, const hystmpc_law *l, const hystmpc_task
         }
 }
 
-/* The move of v is one number in a block, so is its rate limit: the plan's greatest move in the block decides. The plan
- * is admissible but for rounding, so that no move always is. */
-static int bound_move(hystmpc_qp *q, const hystmpc_law *l, const hystmpc_task *t, const real *commands, int b,
-                      real *columns, int row) {
+/* Bounds of the move of block b: that of v is one number in a block, so is its rate limit, and the plan's greatest move in
+ * the block decides. The plan is admissible but for rounding, so that no move always is. */
+static void bounds_of_move(const hystmpc_law *l, const hystmpc_task *t, const real *commands, int b, real *low,
+                           real *high) {
     real slowest = move_of(t, commands, l->starts[b]), fastest = slowest;
     for (int k = l->starts[b] + 1; k <= l->ends[b]; k++) {
         slowest = least(slowest, move_of(t, commands, k));
         fastest = most(fastest, move_of(t, commands, k));
     }
     const real length = (real)(l->ends[b] + 1 - l->starts[b]);
+    *low = length * least(-l->reach - slowest, R(0.0));
+    *high = length * most(l->reach - fastest, R(0.0));
+}
+
+static int bound_move(hystmpc_qp *q, const hystmpc_law *l, const hystmpc_task *t, const real *commands, int b,
+                      real *columns, int row) {
     columns[b * q->rows + row] = R(1.0);
     if (b) columns[(b - 1) * q->rows + row] = R(-1.0);
-    q->lower[row] = length * least(-l->reach - slowest, R(0.0));
-    q->upper[row] = length * most(l->reach - fastest, R(0.0));
+    bounds_of_move(l, t, commands, b, q->lower + row, q->upper + row);
     return row + 1;
 }
 
@@ -255,17 +260,22 @@ static int soften(hystmpc_qp *q, const hystmpc_law *l, const hystmpc_law *limite
     return row + 1;
 }
 
-HYSTMPC_LOCAL void hystmpc_build_program(hystmpc_qp *q, const hystmpc_law *l, const hystmpc_task *t,
-                                         const real *commands, const real *angles, const real *columns) {
-    const int samples = l->horizon, n = q->unknowns;
-    const hystmpc_law *axis;
+static void build_cost(hystmpc_qp *q, const hystmpc_law *l, const hystmpc_task *t, const real *commands,
+                       const real *angles, const real *columns) {
     const hystmpc_task *task = t;
-    const real *plan = commands;
-    int first = 0, row = 0;
-    for (axis = l; law_moves(axis); first += axis->moves, axis = axis->next, task = task->next, plan += samples)
-        add_moves(q, axis, task, plan, first);
+    int first = 0;
+    for (const hystmpc_law *i = l; law_moves(i); first += i->moves, i = i->next, task = task->next, commands += l->horizon)
+        add_moves(q, i, task, commands, first);
     add_tracking(q, l, t, angles, columns);
-    for (axis = l, first = 0; axis; first += axis->moves, axis = axis->next, t = t->next) {
+}
+
+static void build_rows(hystmpc_qp *q, const hystmpc_law *l, const hystmpc_task *t, const real *commands,
+                       const real *angles, const real *columns) {
+    const int samples = l->horizon, n = q->unknowns;
+    int first = 0, row = 0;
+    fill(q->columns, R(0.0), n * q->rows);
+    fill(q->soft, R(0.0), q->rows);
+    for (const hystmpc_law *axis = l; axis; first += axis->moves, axis = axis->next, t = t->next) {
         real *const moved = q->columns + first * q->rows;
         for (int k = 0, b = 0; k < samples; k++) { /* b: the block of sample k, the last one behind all blocks */
             if (b + 1 < axis->moves && k == axis->starts[b + 1]) b++;
@@ -277,12 +287,48 @@ HYSTMPC_LOCAL void hystmpc_build_program(hystmpc_qp *q, const hystmpc_law *l, co
     }
 }
 
+HYSTMPC_LOCAL void hystmpc_build_program(hystmpc_qp *q, const hystmpc_law *l, const hystmpc_task *t,
+                                         const real *commands, const real *angles, const real *columns) {
+    build_cost(q, l, t, commands, angles, columns);
+    build_rows(q, l, t, commands, angles, columns);
+}
+
 HYSTMPC_LOCAL void hystmpc_deviation(const hystmpc_law *l, const real *primal, real *deviation) {
     for (; law_moves(l); deviation += l->horizon, primal += l->moves, l = l->next)
         for (int k = 0; k < l->horizon; k++) {
             deviation[k] = l->blocked ? R(0.0) : primal[k];
             for (int b = 0; l->blocked && b < l->moves; b++) deviation[k] += l->blocking[k * l->moves + b] * primal[b];
         }
+}
+
+/* Whether the solution without rows fulfils all of them, which most steps find here; with soft limits they are built. */
+static int primal_fits(const hystmpc_law *l, const hystmpc_task *t, const real *commands, const real *primal,
+                       real *deviation) {
+    int fits = hystmpc_program_slacks(l) == 0 && all_finite(primal, hystmpc_program_unknowns(l));
+    if (fits) hystmpc_deviation(l, primal, deviation);
+    for (; fits && law_moves(l); commands += l->horizon, deviation += l->horizon, primal += l->moves, l = l->next, t = t->next) {
+        for (int k = 0; k < l->horizon; k++)
+            fits &= l->lower - commands[k] <= deviation[k] && deviation[k] <= l->upper - commands[k];
+        for (int b = 0; b < l->moves; b++) {
+            const real move = b ? primal[b] - primal[b - 1] : primal[b];
+            real low, high;
+            bounds_of_move(l, t, commands, b, &low, &high);
+            fits &= low <= move && move <= high;
+        }
+    }
+    return fits;
+}
+
+HYSTMPC_LOCAL int hystmpc_solve_program(hystmpc_qp *q, const hystmpc_law *l, const hystmpc_task *t,
+                                        const real *commands, const real *angles, const real *columns, int changes,
+                                        real *deviation) {
+    const int n = q->unknowns;
+    build_cost(q, l, t, commands, angles, columns);
+    if (!all_finite(q->gradient, n) || !all_finite(q->hessian, n * n)) return HYSTMPC_NO_PROGRAM;
+    const int answer = hystmpc_solve_free(q);
+    if (answer < 0 || primal_fits(l, t, commands, q->primal, deviation)) return answer;
+    build_rows(q, l, t, commands, angles, columns);
+    return hystmpc_solve_rows(q, changes);
 }
 
 HYSTMPC_LOCAL void hystmpc_after_moves(const hystmpc_law *l, const hystmpc_task *t, const real *jacobian,
@@ -313,10 +359,9 @@ HYSTMPC_LOCAL int hystmpc_step_plan(const hystmpc_law *l, const hystmpc_task *t,
     hystmpc_qp q;
     hystmpc_place_qp(&q, n, rows, slacks, room, whole);
     if (l->blocked) hystmpc_block_columns(l, jacobian, behind);
-    hystmpc_build_program(&q, l, t, commands, angles, l->blocked ? behind : jacobian);
-    if (!all_finite(q.gradient, n) || !all_finite(q.hessian, n * n))
-        return all_finite(jacobian, slopes) ? HYSTMPC_NO_PROGRAM : HYSTMPC_NO_JACOBIAN;
-    const int answer = hystmpc_solve_qp(&q, changes);
+    const int answer =
+        hystmpc_solve_program(&q, l, t, commands, angles, l->blocked ? behind : jacobian, changes, plan);
+    if (answer == HYSTMPC_NO_PROGRAM && !all_finite(jacobian, slopes)) return HYSTMPC_NO_JACOBIAN;
     if (answer >= 0) hystmpc_after_moves(l, t, jacobian, commands, angles, q.primal, behind, plan, cost);
     return answer;
 }

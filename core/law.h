@@ -66,6 +66,15 @@ HYSTMPC_LOCAL void hystmpc_block_columns(const hystmpc_law *l, const real *jacob
 HYSTMPC_LOCAL void hystmpc_build_program(hystmpc_qp *q, const hystmpc_law *l, const hystmpc_task *t,
                                          const real *commands, const real *angles, const real *columns);
 
+/* What a planning step answers besides what qp.h says: no finite Jacobian, no finite program. */
+enum { HYSTMPC_NO_JACOBIAN = -5, HYSTMPC_NO_PROGRAM = -6 };
+
+/* The solution of that program; its rows are built where they bind. Answers as `hystmpc_solve_rows`; deviation (nu, H):
+ * room. */
+HYSTMPC_LOCAL int hystmpc_solve_program(hystmpc_qp *q, const hystmpc_law *l, const hystmpc_task *t,
+                                        const real *commands, const real *angles, const real *columns, int changes,
+                                        real *deviation);
+
 /* Deviation M w (nu, H) of the commands from the plan. */
 HYSTMPC_LOCAL void hystmpc_deviation(const hystmpc_law *l, const real *primal, real *deviation);
 
@@ -75,11 +84,8 @@ HYSTMPC_LOCAL void hystmpc_after_moves(const hystmpc_law *l, const hystmpc_task 
                                        const real *commands, const real *angles, const real *primal, real *foreseen,
                                        real *plan, real *cost);
 
-/* What a planning step answers besides what qp.h says: no finite Jacobian, no finite program. */
-enum { HYSTMPC_NO_JACOBIAN = -5, HYSTMPC_NO_PROGRAM = -6 };
-
 /* One step from a plan (nu, H) with this Jacobian (ny H, nu H): the program around it, its solution, the plan
- * after it and its foreseen cost. Answers as `hystmpc_solve_qp`. room: ny H m numbers behind those of the program, and the
+ * after it and its foreseen cost. Answers as `hystmpc_solve_program`. room: ny H m numbers behind those of the program, and the
  * whole ones. */
 HYSTMPC_LOCAL int hystmpc_step_plan(const hystmpc_law *l, const hystmpc_task *t, const real *jacobian,
                                     const real *commands, const real *angles, int changes, real *room, int *whole,

@@ -60,7 +60,7 @@ int hystmpc_quadratic_program(int unknowns, int rows, const real *hessian, const
     copy(lower, q.lower, rows);
     copy(upper, q.upper, rows);
     copy(soft, q.soft, rows);
-    const int answer = hystmpc_solve_qp(&q, changes);
+    const int free = hystmpc_solve_free(&q), answer = free < 0 ? free : hystmpc_solve_rows(&q, changes);
     if (answer >= 0) copy(q.primal, primal, unknowns);
     return answer;
 }

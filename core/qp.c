@@ -40,8 +40,6 @@ HYSTMPC_LOCAL void hystmpc_place_qp(hystmpc_qp *q, int unknowns, int rows, int s
     q->index = whole + n;
     q->count = 0;
     fill(q->hessian, R(0.0), n * n);
-    fill(q->columns, R(0.0), n * rows);
-    fill(q->soft, R(0.0), rows);
 }
 
 static real inner(const real *a, const real *b, int count) {
@@ -194,27 +192,31 @@ static int most_violated(hystmpc_qp *q, real *side) {
     return worst;
 }
 
-/* The point without any row, as the primal; whether it fulfils all rows. Then nothing else has to be computed: most steps
- * of a controller end here. */
-static int unbounded_fits(hystmpc_qp *q) {
+/* Whether the point without any row fulfils all rows: then nothing else has to be computed. */
+static int rows_fit(hystmpc_qp *q) {
     const int n = q->unknowns, rows = q->rows;
     int fits = 1;
-    for (int k = 0; k < n; k++) q->primal[k] = R(0.0) - q->shift[k];
-    solve_lower(q->hessian, n, n, q->primal);
     fill(q->at, R(0.0), rows);
     add_rows(q->at, rows, q->primal, 1, q->columns, rows, n);
     for (int r = 0; r < rows; r++) fits &= q->lower[r] <= q->at[r] && q->at[r] <= q->upper[r];
     return fits && all_finite(q->primal, n);
 }
 
-HYSTMPC_LOCAL int hystmpc_solve_qp(hystmpc_qp *q, int changes) {
-    const int n = q->unknowns, rows = q->rows;
-    int change = 0;
-    real side;
+HYSTMPC_LOCAL int hystmpc_solve_free(hystmpc_qp *q) {
+    const int n = q->unknowns;
     if (!factorise(q->hessian, n, n)) return HYSTMPC_QP_NOT_CONVEX;
     copy(q->gradient, q->shift, n);
     solve_upper(q->hessian, n, n, q->shift);
-    if (unbounded_fits(q)) return 0;
+    for (int k = 0; k < n; k++) q->primal[k] = R(0.0) - q->shift[k];
+    solve_lower(q->hessian, n, n, q->primal);
+    return 0;
+}
+
+HYSTMPC_LOCAL int hystmpc_solve_rows(hystmpc_qp *q, int changes) {
+    const int n = q->unknowns, rows = q->rows;
+    int change = 0;
+    real side;
+    if (rows_fit(q)) return 0;
     for (int j = n - 1, before = rows; j >= 0; j--) {
         int r = 0;
         while (r < before && q->columns[j * rows + r] == R(0.0)) r++;

@@ -6,7 +6,7 @@
 
 #include "linear.h"
 
-/* What `hystmpc_solve_qp` answers where there is no solution; else the number of changes of the active set. */
+/* What `hystmpc_solve_rows` answers where there is no solution; else the number of changes of the active set. */
 enum {
     HYSTMPC_QP_INFEASIBLE = -1,
     HYSTMPC_QP_NOT_CONVEX = -2,
@@ -37,10 +37,13 @@ typedef struct {
 /* Room for a program of n unknowns and m rows, `slacks` of them soft: this many numbers, and 2 n + slacks whole ones. */
 HYSTMPC_LOCAL int hystmpc_qp_reals(int unknowns, int rows, int slacks);
 
-/* An empty program, all of it zero, in that room. */
+/* A program in that room, P zero and no row written. */
 HYSTMPC_LOCAL void hystmpc_place_qp(hystmpc_qp *q, int unknowns, int rows, int slacks, real *room, int *whole);
 
-/* Changes of the active set until z is in `primal`, or why there is none. */
-HYSTMPC_LOCAL int hystmpc_solve_qp(hystmpc_qp *q, int changes);
+/* z without any row into `primal`, which needs P and q alone: 0, or HYSTMPC_QP_NOT_CONVEX. */
+HYSTMPC_LOCAL int hystmpc_solve_free(hystmpc_qp *q);
+
+/* After that: changes of the active set until z is in `primal`, or why there is none. */
+HYSTMPC_LOCAL int hystmpc_solve_rows(hystmpc_qp *q, int changes);
 
 #endif

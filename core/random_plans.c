@@ -146,8 +146,8 @@ static int random_fitted(const random_work *w, int count, const hystmpc_plan *ar
     hystmpc_place_qp(&q, m, hystmpc_program_rows(l), hystmpc_program_slacks(l), w->program, w->indices);
     hystmpc_fit_columns(count, h, m, w->plans, w->angles, around->commands, around->angles, l->ends,
                         w->sampling->whitening, behind, columns);
-    hystmpc_build_program(&q, l, w->task, around->commands, around->angles, columns);
-    if (hystmpc_solve_qp(&q, w->planner->changes) < 0) return 0;
+    if (hystmpc_solve_program(&q, l, w->task, around->commands, around->angles, columns, w->planner->changes, parts) < 0)
+        return 0;
     hystmpc_deviation(l, q.primal, behind);
     for (int i = 0; i < RANDOM_PARTS; i++)
         for (int k = 0; k < h; k++) parts[i * h + k] = around->commands[k] + shares[i] * behind[k];

@@ -350,18 +350,18 @@ static void list_stage(by_commands *b, const chain_stage *s) {
 
 /* One sum by so many commands, some of them at a time in registers; answers its last term. */
 static const command_term *sum_terms(const command_term *first, int t, int lanes) {
-    const command_term *last = first;
-    while (!last->to) last++;
+    const command_term *term = first;
     for (int l = 0; l < lanes; l += COMMANDS_ABREAST) {
         real sum[COMMANDS_ABREAST];
-        for (int i = 0; i < COMMANDS_ABREAST; i++) sum[i] = first->factor ? first->slope[t] * first->factor[l + i] : R(0.0);
-        for (const command_term *term = first + 1; term <= last; term++) {
-            const real slope = term->slope[t], *factor = term->factor + l;
+        term = first;
+        for (int i = 0; i < COMMANDS_ABREAST; i++) sum[i] = term->factor ? term->slope[t] * term->factor[l + i] : R(0.0);
+        while (!term->to) {
+            const real slope = (++term)->slope[t], *factor = term->factor + l;
             for (int i = 0; i < COMMANDS_ABREAST; i++) sum[i] += slope * factor[i];
         }
-        for (int i = 0; i < COMMANDS_ABREAST; i++) last->to[l + i] = sum[i];
+        for (int i = 0; i < COMMANDS_ABREAST; i++) term->to[l + i] = sum[i];
     }
-    return last;
+    return term;
 }
 
 /* All signals in sample t of a block by the first `count` commands, of which the last `inputs` act for the first time. */
@@ -370,9 +370,8 @@ static void linearise_sample(const by_commands *b, int t, int count, int inputs)
     for (int j = 0; j < inputs; j++) {
         b->signal[j * stride + begun + j] = R(1.0);
         if (begun) b->signal[j * stride + begun - inputs + j] = R(0.0);
+        for (int i = 0; i < states; i++) b->now[i * stride + begun + j] = R(0.0);
     }
-    for (int i = 0; i < states; i++)
-        for (int q = begun; q < count; q++) b->now[i * stride + q] = R(0.0);
     for (const command_term *term = b->term; term < b->term + b->terms; term++) term = sum_terms(term, t, lanes);
     for (int i = 0; i < states; i++)
         for (int l = 0; l < lanes; l++) b->now[i * stride + l] = b->next[i * stride + l];
