@@ -6,7 +6,7 @@ import ctypes
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -187,9 +187,9 @@ class Problem:
         return float(np.sum(terms + SOFT * excess**2 * soft))
 
 
-def posed(model: Model, seed: int) -> Problem:
+def posed(model: Model, seed: int, u: float | None = None) -> Problem:
     random = np.random.default_rng(seed)
-    u = random.uniform(LOWER, UPPER)
+    u = random.uniform(LOWER, UPPER) if u is None else u
     start, last = np.empty(H), u
     for k in range(H):
         start[k] = last = np.clip(last + random.normal(0.0, 0.2), max(LOWER, last - REACH), min(UPPER, last + REACH))
@@ -265,7 +265,7 @@ def test_equal_problems_and_draws_give_equal_plans(name: str) -> None:
     assert np.array_equal(first.plan, other.plan) == (kind not in RANDOM)
 
 
-def optimum(problem: Problem) -> float:
+def optimum(problem: Problem, soft: bool = False) -> float:
     """Least cost of an admissible plan of a straight model."""
     difference = np.eye(H) - np.eye(H, k=-1)
     first = problem.u_last * np.eye(H)[0]
@@ -274,7 +274,9 @@ def optimum(problem: Problem) -> float:
         LinearConstraint(difference, first - REACH, first + REACH),
     ]
     options = {"ftol": 1e-13, "maxiter": 500}
-    return float(minimize(problem.cost, problem.start, constraints=limits, method="SLSQP", options=options).fun)
+    return float(
+        minimize(problem.cost, problem.start, (soft,), constraints=limits, method="SLSQP", options=options).fun
+    )
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -284,6 +286,29 @@ def test_one_step_finds_the_optimum_of_a_straight_model(seed: int) -> None:
     assert improve(planner_of("LINEARISED"), problem).cost == pytest.approx(best, rel=1e-6)
     for kind in RANDOM:  # the fitted slope is that of the model, but for the ridge
         assert improve(planner_of(kind), problem).cost <= best + 1e-3 * (start - best)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("end", [LOWER, UPPER])
+def test_the_optimum_is_found_where_only_the_last_command_binds(seed: int, end: float) -> None:
+    """Slowly beyond the range: without it every move would be within the rate."""
+    inwards = math.copysign(0.2, 3.0 - end)
+    problem = posed(straight, seed, end + inwards)
+    problem = replace(problem, reference=problem.state[0] - inwards * np.linspace(0.0, 30.0, H))
+    assert improve(planner_of("LINEARISED"), problem).cost == pytest.approx(optimum(problem), rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_optimum_is_found_where_only_a_soft_limit_binds(seed: int) -> None:
+    problem = posed(straight, seed, 3.0)
+    problem = replace(
+        problem,
+        reference=problem.state[0] + np.linspace(0.0, 4.0, H),
+        limits=(-math.inf, problem.state[0] + 1.0),
+    )
+    found = improve(planner_of("LINEARISED", soft=True), problem, soft=True)
+    assert found.cost == pytest.approx(optimum(problem, True), rel=1e-4)
+    assert found.cost < problem.cost(improve(planner_of("LINEARISED"), problem).plan, True)
 
 
 @every_planner
