@@ -47,7 +47,7 @@ _OPTIONS: Mapping[Name, tuple[str, ...]] = MappingProxyType(
         Name.CONTROL: ("rates_hz", "plants", "controllers", "motions"),
         Name.IDENTIFY: ("devices", "families", "kind", "drive", "rates_hz"),
         Name.AUTO: ("devices", "families", "kinds", "orders", "rates_hz"),
-        Name.COMMISSION: ("devices", "rates_hz", "diagnose"),
+        Name.COMMISSION: ("devices", "families", "rates_hz", "diagnose"),
         Name.PUBLIC: ("dataset", "data", "test", "kinds"),
     }
 )
