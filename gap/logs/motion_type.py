@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from hystmpc.models.play_kernel.predictor import follow_plays
 from hystmpc.trials.segments import Motion, SegmentRule, Segments, segment
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Index, Mask, Mat, Vec, lagged
@@ -215,13 +216,7 @@ def _features_of_past(u: Vec, dt: float) -> Mat:
 
 def play_states(u: Vec, half: Vec, side: float = 0.0) -> Mat:
     """States (T, R) of plays of half-widths r (R,): p = max(u - r, min(u + r, p)), from u + `side` r on."""
-    lower, upper = u[:, None] - half, u[:, None] + half
-    p = np.empty_like(lower)
-    now = u[0] + side * half
-    for k in range(u.size):
-        now = np.minimum(np.maximum(now, lower[k]), upper[k])
-        p[k] = now
-    return p
+    return follow_plays(u, 1.0, half, np.concatenate([u[:1], u[0] + side * half]))[:, 1:]
 
 
 def _decaying(age: Index, dt: float, weight: Vec) -> list[Vec]:
