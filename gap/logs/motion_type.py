@@ -12,7 +12,7 @@ import numpy as np
 from hystmpc.models.play_kernel.predictor import follow_plays
 from hystmpc.trials.segments import Motion, SegmentRule, Segments, segment
 from hystmpc.trials.trial import Trial
-from hystmpc.trials.types import Index, Mask, Mat, Vec, lagged
+from hystmpc.trials.types import Index, Mask, Mat, Vec
 
 from .sensor import white_noise
 
@@ -208,7 +208,7 @@ def _features_of_past(u: Vec, dt: float) -> Mat:
     lags = [max(1, round(lag / dt)) for lag in _LAGS_S]
     late = [np.concatenate([np.full(min(k, u.size), u[0]), u[:-k]])[: u.size] for k in lags]
     v = np.gradient(u, dt)
-    slow = [lagged(u, tau / (tau + dt)) for tau in _AGES_S]
+    slow = [follow_plays(u, dt / (tau + dt), np.empty(0), u[:1])[:, 0] for tau in _AGES_S]
     return np.column_stack(
         [u, u**2, u**3, v, np.abs(v), np.sign(v), *late, *slow, *play_states(u, 0.5 * np.array(_WIDTHS)).T]
     )
