@@ -63,6 +63,21 @@ static int is_in(const int *group, int state) {
     return 0;
 }
 
+/* A state that only needs itself: G lanes stay in registers from sample to sample, memory would be the slower way. */
+static inline void move_lanes(real *restrict h, const real *restrict value, int first, int lanes, const int g) {
+    real now[CHAIN_MOST];
+    for (int n = 0; n < g; n++) now[n] = h[first + n];
+    for (int l = first; l < lanes; l += g)
+        for (int n = 0; n < g; n++) h[l + g + n] = now[n] = h[l + g + n] + value[l + n] * now[n];
+}
+
+static void move_alone(real *h, const real *value, int first, int lanes, int g) {
+    if (g == 8) move_lanes(h, value, first, lanes, 8);
+    else if (g == 4) move_lanes(h, value, first, lanes, 4);
+    else if (g == 1) move_lanes(h, value, first, lanes, 1);
+    else move_lanes(h, value, first, lanes, g);
+}
+
 /* Derivatives of a group of states along the block: what comes from outside for all samples, then sample after sample. */
 static void move_group(const direction *d, const int *group) {
     const chain_run *r = d->r;
@@ -85,8 +100,7 @@ static void move_group(const direction *d, const int *group) {
         for (int q = p->first[i]; q < p->first[i + 1]; q++) {
             const int *slope = p->slope + 3 * q;
             if (slope[0] != BY_STATE || slope[1] != i) continue;
-            const real *value = d->s->row[slope[2]];
-            for (int l = d->first; l < d->lanes; l++) h[l + g] += value[l] * h[l];
+            move_alone(h, d->s->row[slope[2]], d->first, d->lanes, g);
         }
         return;
     }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import final
 
@@ -234,6 +234,14 @@ class Problem:
         theta = self._staged.simulate(together.command[:, None], run.dt_s, state, p)[0][together.recorded, 0]
         return np.asarray(theta + run.correction, dtype=np.float64)
 
+    def angles_together(self, q: Vec, together: RunsTogether) -> Vec:
+        """Angles (T,) of free runs, concatenated [deg]."""
+        p = self._values(q)[0]
+        none = np.empty((p.size, 0))
+        start = self._start(together, p, none)
+        theta = self._staged.differentiate(together.command, together.dt_s, *start, p, none, together.first)[0]
+        return theta[together.recorded] + together.correction
+
     def linearised(self, q: Vec, run: Run) -> tuple[Vec, Vec]:
         """Angles (T,) and their derivative (T, Q)."""
         theta, both = self._pass(q, RunsTogether.of([run]))
@@ -241,9 +249,19 @@ class Problem:
 
     def error(self, q: Vec, run: Run) -> tuple[Vec, Vec]:
         """Angle minus measurement where it counts (C,) and its derivative (C, Q), without terms of the trial."""
-        theta, both = self._pass(q, RunsTogether.of([run]))
-        left, _ = self.terms.split(run, theta[run.scored], both[run.scored])
+        left = next(self._left(q, RunsTogether.of([run])))[0]
         return left[:, -1], left[:, :-1]
+
+    def errors(self, q: Vec, runs: Sequence[Run]) -> list[Vec]:
+        """Angle minus measurement where each run counts (C,), without terms of the trial."""
+        groups = RunsTogether.groups(runs)
+        return [np.ascontiguousarray(left[:, -1]) for group in groups for left, _ in self._left(q, group)]
+
+    def _left(self, q: Vec, together: RunsTogether) -> Iterator[tuple[Vec, Vec]]:
+        """Derivatives and error of each run where it counts, and the means of its terms, see `TrialTerms.split`."""
+        theta, both = self._pass(q, together)
+        for run, at in together.each():
+            yield self.terms.split(run, theta[at][run.scored], both[at][run.scored])
 
     def held_out_errors(self, q: Vec, runs: Sequence[Run]) -> tuple[Vec, ...]:
         """Angle minus measurement where each run counts (C,); terms of a trial are estimated on its other blocks."""
@@ -256,23 +274,21 @@ class Problem:
                 errors.append(self.terms.cross_fitted(run, theta[at][run.scored], error, scored[:, :-1]))
         return tuple(errors)
 
-    def products(self, q: Vec, together: RunsTogether, white: Vec = AS_IT_IS) -> tuple[Vec, list[Vec]]:
-        """Products of derivatives and errors in one pass over many runs, derivatives first and the error last.
+    def products(self, q: Vec, together: RunsTogether, white: Vec = AS_IT_IS) -> dict[Run, tuple[Vec, Vec]]:
+        """Products of derivatives and errors of each run in one pass, derivatives first and the error last.
 
         Args:
             white: filter for derivatives and error (`whitening`).
 
         Returns:
-            Sum over the samples that count of the products of both (Q + 1, Q + 1), the terms of trials projected out,
-            and offsets and gains of the trials (2, Q + 1) each [deg]; none where trials have no offset.
+            Of each run the sum over the samples that count of the products of both (Q + 1, Q + 1), its terms projected
+            out, and its offset and gain (2, Q + 1) [deg]; none (0, Q + 1) where trials have no offset.
         """
-        theta, both = self._pass(q, together)
-        parts, common = [both[a:b] for a, b in together.spans], []
-        if self.terms != NO_TERMS:
-            scored = [self.terms.split(run, theta[at][run.scored], both[at][run.scored]) for run, at in together.each()]
-            parts, common = [left for left, _ in scored], [mean for _, mean in scored if self.terms.apart]
-        parts = [whitened(part, white) for part in parts]
-        return sum((part.T @ part for part in parts), np.zeros((q.size + 1, q.size + 1))), common
+        made = {}
+        for run, (left, mean) in zip(together.runs, self._left(q, together), strict=True):
+            part = whitened(left, white)
+            made[run] = part.T @ part, mean if self.terms.apart else mean[:0]
+        return made
 
     def begun(self, q: Vec, run: Run, box: Box) -> Run:
         """Run with the start estimated at unknowns q, where it begins in motion."""
