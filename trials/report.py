@@ -191,7 +191,8 @@ def _printed(figure: Figure) -> str:
     try:
         with style():
             figure.dpi = mpl.rcParams["savefig.dpi"]  # of bitmaps within
-            FigureCanvasSVG(figure).print_svg(out, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
+            printer: Any = FigureCanvasSVG(figure)  # matplotlib leaves its writers untyped
+            printer.print_svg(out, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
     finally:
         figure.dpi = dpi
         figure.set_canvas(canvas)
