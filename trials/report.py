@@ -20,6 +20,7 @@ import matplotlib as mpl
 import numpy as np
 from markupsafe import Markup, escape
 from matplotlib.axis import Axis
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator, LogFormatter, LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
@@ -179,12 +180,23 @@ def figure_svg(figure: Figure, prefix: str = "") -> str:
     """Figure as an `<svg>` element; the prefix of its ids keeps the figures of one page apart."""
     _print_as_it_is(figure)
     three_ticks(figure)
-    out = io.StringIO()
-    with style():
-        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
-    svg = out.getvalue()
+    svg = _printed(figure)
     svg = _NAMESPACE.sub("", svg[svg.index("<svg") :]).replace("xlink:href=", "href=")
     return _ID.sub(lambda match: match.group(1) + prefix, svg).strip()
+
+
+def _printed(figure: Figure) -> str:
+    """SVG file of a figure; `savefig` writes the same, and draws all of it once more for its layout alone."""
+    out, canvas, dpi = io.StringIO(), figure.canvas, figure.dpi
+    try:
+        with style():
+            figure.dpi = mpl.rcParams["savefig.dpi"]  # of bitmaps within
+            printer: Any = FigureCanvasSVG(figure)  # matplotlib leaves its writers untyped
+            printer.print_svg(out, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
+    finally:
+        figure.dpi = dpi
+        figure.set_canvas(canvas)
+    return out.getvalue()
 
 
 def three_ticks(figure: Figure) -> None:

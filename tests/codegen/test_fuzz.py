@@ -27,11 +27,12 @@ LIMITED = tip("builtin:pi", **PLAIN, limits={"lower": LOWER, "upper": UPPER, "ra
 ONE_FILTER = {f"{name}_sigma_deg{per}": 0.01 for name, per in (("sensor", ""), ("drift", "_per_sqrt_s"))}
 ONE_FILTER["motion_sigma_deg_per_sqrt_unit"] = 0.01
 FUZZED: Mapping[str, tuple[dict[str, Any], bool]] = {
-    "frames-lag-delay-and-soft-limits": (
+    "frames-lag-delay-blocks-and-soft-limits": (
         tip(
             "builtin:pi",
             0.08,
             **PLAIN,
+            move_blocking=[1, 1, 2, 4, 8],
             estimator={"sensor": "intermittent", "oldest_frame_s": 0.4, "delay_samples": 2},
             ladder={"safe_command": 0.0},
             weights={"angle_lower_deg": 40, "angle_upper_deg": 70},

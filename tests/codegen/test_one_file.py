@@ -34,7 +34,14 @@ every_compiler = pytest.mark.parametrize(
         for k, command in enumerate(compilers())
     ],
 )
-both_precisions = pytest.mark.parametrize("single", [0, 1], ids=["double", "single"])
+both_precisions = pytest.mark.parametrize(
+    "single", [pytest.param(0, id="double"), pytest.param(1, id="single", marks=pytest.mark.slow)]
+)
+
+
+def slow(*values: object) -> Any:
+    """Cases that the fast suite leaves to others of the same law."""
+    return pytest.param(*values, marks=pytest.mark.slow)
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +87,7 @@ def test_all_files_are_one_without_a_warning(folder: Path, compiler: list[str], 
 
 
 @both_precisions
-@pytest.mark.parametrize("lanes", [1, 4, 8, 16])
+@pytest.mark.parametrize("lanes", [slow(1), slow(4), 8, slow(16)])
 def test_networks_of_every_width_compile_without_a_warning(folder: Path, lanes: int, single: int) -> None:
     (folder / "network.c").write_text(amalgam(["network.c"]), encoding="utf-8")
     macros = [f"-DHYSTMPC_LANES={lanes}", f"-DHYSTMPC_SINGLE={single}"]
@@ -110,7 +117,7 @@ def test_a_header_stands_in_front_of_its_first_use_alone() -> None:
         assert text.count(f"#define {guard[0]}\n") <= 1
 
 
-@pytest.mark.parametrize(("block", "rows"), [(32, 1), (32, 10), (16, 5), (256, 10)])
+@pytest.mark.parametrize(("block", "rows"), [slow(32, 1), slow(32, 10), (16, 5), slow(256, 10)])
 def test_a_chain_has_the_same_numbers_with_every_size_of_a_block(folder: Path, block: int, rows: int) -> None:
     code, kept, x = chain()
     made = functions(folder, "chain.h", CHAIN, f"-DHYSTMPC_BLOCK={block}", f"-DROWS={rows}")
@@ -137,7 +144,9 @@ def test_a_chain_has_the_same_numbers_with_every_size_of_a_block(folder: Path, b
         np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.parametrize("options", [("1",), ("4",), ("8",), ("16",), ("8", "-mavx2", "-mfma"), ("16", "-mfma")])
+@pytest.mark.parametrize(
+    "options", [slow(("1",)), ("4",), slow(("8",)), slow(("16",)), ("8", "-mavx2", "-mfma"), slow(("16", "-mfma"))]
+)
 def test_a_network_has_the_same_numbers_in_panels_of_every_width(folder: Path, options: tuple[str, ...]) -> None:
     lanes, *more = options
     if more and int(engine("plain").level()) < 3:

@@ -1,4 +1,4 @@
-"""The C compiles without a warning and runs clean under sanitizers; what has none is refused."""
+"""The C compiles without a warning; what has none is refused. It runs clean under sanitizers: see test_fuzz."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hystmpc.cli.main import app
 from hystmpc.codegen import export_controller
 from hystmpc.trials.errors import ExportError
 
-from .compiled import EXAMPLES, STRICT, compile_c, compilers, run_sanitized, tried
+from .compiled import EXAMPLES, STRICT, compile_c, compilers, tried
 from .test_commands import CASES, tip
 
 
@@ -36,12 +36,6 @@ def test_every_compiler_takes_it_without_a_warning(tmp_path: Path) -> None:
     export_controller(CASES["lag-of-the-settings"][0], single=True, folder=EXAMPLES).write(tmp_path)
     for k, command in enumerate(compilers()):
         assert tried([*command, *STRICT, "-O0" if k else "-O2", "-c", "hystmpc.c"], tmp_path) == ""
-
-
-@pytest.mark.slow
-def test_it_runs_clean_under_sanitizers(tmp_path: Path) -> None:
-    """Moves in blocks; all other parts run under them where any function is called in any order, see test_fuzz."""
-    run_sanitized(export_controller(CASES["blocks"][0], folder=EXAMPLES), tmp_path, 330)
 
 
 def test_nothing_is_taken_from_the_heap() -> None:

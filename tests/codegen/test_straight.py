@@ -122,7 +122,7 @@ class Both:
 
 @pytest.mark.parametrize(
     ("single", "options"),
-    [pytest.param(False, FAST, marks=pytest.mark.slow), (True, ("-O1",)), (False, ("-O0",))],
+    [*(pytest.param(*case, marks=pytest.mark.slow) for case in ((False, FAST), (True, ("-O1",)))), (False, ("-O0",))],
     ids=["vectors", "float", "double"],
 )
 def test_a_table_in_c_is_its_instructions_to_the_last_bit(single: bool, options: Sequence[str], tmp_path: Path) -> None:

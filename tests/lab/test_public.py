@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from hystmpc.models.operators.oscillator import Oscillator
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.layouts import load_mapping
 from hystmpc.trials.trial import Trial
+from hystmpc_lab.public import boucwen
 from hystmpc_lab.public.boucwen import (
     COLUMNS,
     PERIOD,
@@ -214,9 +216,12 @@ def test_the_last_third_of_a_rig_is_scored_and_test_files_whole(tmp_path: Path) 
 
 
 @pytest.mark.slow
-def test_one_kind_from_the_record_to_the_table(tmp_path: Path) -> None:
+def test_one_kind_from_the_record_to_the_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(boucwen, "simulated_tests", cache(simulated_tests))  # asked for by every `begin`
     steady = simulated_tests(5, quick=True)[0].trial
-    data = written(tmp_path / "record.csv", np.tile(steady.command, 2), np.tile(steady.angle, 2))
+    force = np.concatenate([np.zeros(400), steady.command[: PERIOD // 4]])  # from rest: no start has to be searched
+    device = Chain(Oscillator(*PUBLISHED_SYSTEM, hold=3, steps=4))
+    data = written(tmp_path / "record.csv", force, run_chain(device, force, dt=1 / RATE_HZ))
     test = written(tmp_path / "steady.csv", steady.command, steady.angle)
     settings = PublicSettings.of(dataset="boucwen", data=data, test=[test], kinds=("oscillator",))
     folder = tmp_path / "study"

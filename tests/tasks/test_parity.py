@@ -101,7 +101,7 @@ SAME: dict[str, tuple[str, Call]] = {
         lambda: hystmpc.commission("commission.yaml", "c", logs=LOGS),
     ),
 }
-SLOW = {"diagnose", "simulate", "sweep", "tune", "report", "commission", "export-fmu", "fit to ONNX"}
+SLOW = {"diagnose", "simulate", "sweep", "tune", "report", "commission", "export-fmu", "fit", "fit to ONNX", "evaluate"}
 EXTRAS = {"tune": "optuna"}
 REFUSED: tuple[tuple[str, Call], ...] = (
     ("check missing.csv", lambda: hystmpc.check("missing.csv")),
