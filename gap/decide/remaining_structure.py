@@ -189,8 +189,8 @@ def remaining_curvature(hypothesis: Hypothesis, runs: Sequence[Run], floor_mse: 
 def slow_mse(hypothesis: Hypothesis, runs: Sequence[Run]) -> float:
     """Mean square of the remaining error after averaging over three seconds [deg^2]: slow change within trials."""
     total, count = 0.0, 0
-    for run, error in zip(runs, hypothesis.errors(runs), strict=True):
-        blocks = run.blocks(_SLOW_S)
+    for run in runs:
+        error, blocks = hypothesis.error(run), run.blocks(_SLOW_S)
         blocks = blocks - blocks.min()
         samples = np.bincount(blocks)
         means = np.bincount(blocks, error)[samples > 0] / samples[samples > 0]

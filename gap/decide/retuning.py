@@ -82,7 +82,7 @@ def retuning_of(prepared: PreparedTrials, retuned: Hypothesis, left_out_mse: flo
     grown = min(max(1.0, after / before), _MOST_GROWN) if before > 0 else 1.0
     still = min(noise**2, _MOST_NOISE * form)
     problem = retuned.problem
-    nominal = np.concatenate(problem.errors(problem.as_given, prepared.development))
+    nominal = np.concatenate([problem.error(problem.as_given, run)[0] for run in prepared.development])
     floor = prepared.floor(residuals)
     differ = floor.rmse_deg**2 if floor.kind == "repeats" else 0.0
     kept = after > _LEAST_LEFT * before

@@ -110,8 +110,8 @@ class _ResampledVerdict:
     def verdict(self, split: _TrialSplit) -> tuple[Verdict, Names]:
         """Verdict and names of the effects on one split."""
         development, end, seed = split
-        tried = self._errors_on_runs(development, seed)
-        final: Mapping[Names, Blocks] = self._errors_on_runs(end, seed)
+        tried = {names: _errors_on_runs(judged, development, seed) for names, judged in self._tried.items()}
+        final: dict[Names, Blocks] = {n: _errors_on_runs(judged, end, seed) for n, judged in self._tried.items()}
         selection = reselect(tried, SelectionSettings(), self._facts.floor_mse, self._faults_mse)
         names = selection.chosen.hypothesis.effects
         facts = replace(
@@ -127,16 +127,6 @@ class _ResampledVerdict:
         kept = self._confirmed_causes(facts, final) if explained else frozenset()
         decision = self._decision(facts, kept, selection.chosen.hypothesis, tried, final)
         return decision.verdict, kept if decision.explained else frozenset()
-
-    def _errors_on_runs(self, runs: Sequence[int], seed: int | None) -> dict[Names, HeldOutErrors]:
-        """Errors on some runs; with a seed, on an equal number of blocks of each, drawn with replacement."""
-        owner = next(iter(self._tried.values())).run  # all have the same blocks
-        places = [np.flatnonzero(owner == k) for k in runs]
-        if seed is not None:
-            random = np.random.default_rng(seed)
-            places = [blocks[random.integers(0, blocks.size, blocks.size)] for blocks in places]
-        at: Index = np.concatenate(places)
-        return {names: _errors_at(judged, at, runs) for names, judged in self._tried.items()}
 
     def _confirmed_causes(self, facts: VerdictFacts, final: Mapping[Names, Blocks]) -> Names:
         """Causes that significantly lower the error of the final runs."""
@@ -198,8 +188,13 @@ def _errors_on_all_runs(judged: HeldOutErrors, final: Sequence[Run]) -> HeldOutE
     )
 
 
-def _errors_at(judged: HeldOutErrors, at: Index, runs: Sequence[int]) -> HeldOutErrors:
-    """Errors in some blocks, which belong to these runs."""
+def _errors_on_runs(judged: HeldOutErrors, runs: Sequence[int], seed: int | None) -> HeldOutErrors:
+    """Errors on some runs; with a seed, on an equal number of blocks of each, drawn with replacement."""
+    places = [np.flatnonzero(judged.run == k) for k in runs]
+    if seed is not None:
+        random = np.random.default_rng(seed)
+        places = [blocks[random.integers(0, blocks.size, blocks.size)] for blocks in places]
+    at: Index = np.concatenate(places)
     return replace(
         judged,
         energy=judged.energy[at],

@@ -322,9 +322,10 @@ def _parts(trials: Sequence[Trial], seed: int) -> list[_TrialSums]:
 
 
 def _part(x: Mat, shown: Sequence[Vec], width: int) -> _TrialSums:
-    changes = np.stack(shown)
-    energy = width * np.sum(changes**2, axis=1)
-    return _TrialSums(width * x.T @ x, width * (changes @ x).T, energy, width * len(x))
+    products = np.stack([changes @ x for changes in shown], axis=1)
+    return _TrialSums(
+        width * x.T @ x, width * products, width * np.array([changes @ changes for changes in shown]), width * len(x)
+    )
 
 
 def _lag(command: Vec) -> int:

@@ -12,7 +12,7 @@ from hystmpc.models.effects.catalogue import EFFECTS, candidates, diagnosable
 from hystmpc.models.effects.effect import Candidate, Scale, unit_on
 from hystmpc.models.identify.baseline import Baseline
 from hystmpc.models.identify.problem import Problem
-from hystmpc.models.identify.runs import Run, RunsTogether
+from hystmpc.models.identify.runs import Run
 from hystmpc.trials.types import Mat, Vec
 
 from ..diagnosis import Detectable, DetectableSizes
@@ -100,7 +100,7 @@ def _least(
     freedom, neutral = candidate.free[place], effect.neutral[names[place]]
     start = list(candidate.starts[0])
     step = start[place] - neutral or _TYPICAL.get(candidate.effect, 1.0) * freedom.scale * 10.0
-    problem, together, before = Problem(baseline, (candidate,)), RunsTogether.of(runs), (0.0, 0.0)
+    problem, before = Problem(baseline, (candidate,)), (0.0, 0.0)
     parameter = next(p for p in candidate.operators[0].parameters if p.name == names[place])
     unit = unit_on(parameter.unit, candidate.side)
     for share in _SIZES:
@@ -108,7 +108,7 @@ def _least(
         if not freedom.lower <= value <= freedom.upper:
             continue
         q = problem.start(baseline.nominal, [[*start[:place], value, *start[place + 1 :]]])
-        change = problem.angles_together(q, together) - nominal
+        change = np.concatenate([problem.angles(q, run) for run in runs]) - nominal
         left = change - known @ (known.T @ change)
         square, size = float(np.mean(left**2)), abs(value - neutral)
         if square >= needed_mse and np.isfinite(square):

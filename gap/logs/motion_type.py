@@ -9,10 +9,9 @@ from typing import Literal
 
 import numpy as np
 
-from hystmpc.models.play_kernel.predictor import follow_plays
 from hystmpc.trials.segments import Motion, SegmentRule, Segments, segment
 from hystmpc.trials.trial import Trial
-from hystmpc.trials.types import Index, Mask, Mat, Vec
+from hystmpc.trials.types import Index, Mask, Mat, Vec, lagged
 
 from .sensor import white_noise
 
@@ -208,7 +207,7 @@ def _features_of_past(u: Vec, dt: float) -> Mat:
     lags = [max(1, round(lag / dt)) for lag in _LAGS_S]
     late = [np.concatenate([np.full(min(k, u.size), u[0]), u[:-k]])[: u.size] for k in lags]
     v = np.gradient(u, dt)
-    slow = [follow_plays(u, dt / (tau + dt), np.empty(0), u[:1])[:, 0] for tau in _AGES_S]
+    slow = [lagged(u, tau / (tau + dt)) for tau in _AGES_S]
     return np.column_stack(
         [u, u**2, u**3, v, np.abs(v), np.sign(v), *late, *slow, *play_states(u, 0.5 * np.array(_WIDTHS)).T]
     )
@@ -216,7 +215,13 @@ def _features_of_past(u: Vec, dt: float) -> Mat:
 
 def play_states(u: Vec, half: Vec, side: float = 0.0) -> Mat:
     """States (T, R) of plays of half-widths r (R,): p = max(u - r, min(u + r, p)), from u + `side` r on."""
-    return follow_plays(u, 1.0, half, np.concatenate([u[:1], u[0] + side * half]))[:, 1:]
+    lower, upper = u[:, None] - half, u[:, None] + half
+    p = np.empty_like(lower)
+    now = u[0] + side * half
+    for k in range(u.size):
+        now = np.minimum(np.maximum(now, lower[k]), upper[k])
+        p[k] = now
+    return p
 
 
 def _decaying(age: Index, dt: float, weight: Vec) -> list[Vec]:

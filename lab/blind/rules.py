@@ -99,7 +99,7 @@ def bic_choice(tried: Mapping[frozenset[str], HeldOutErrors], runs: Sequence[Run
     G. V. Bayley and J. M. Hammersley, J. R. Stat. Soc. Suppl. 8 (1946) 184.
     """
     best = min((judged.hypothesis for judged in tried.values()), key=lambda h: h.mse)
-    n = effective_samples(best.errors(runs))
+    n = effective_samples([best.error(run) for run in runs])
 
     def criterion(names: frozenset[str]) -> float:
         hypothesis = tried[names].hypothesis

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +23,6 @@ LARGEST_FOLDS = 3
 _LEAST_ERROR = 1e-300
 _EDGE = 1e-9
 _COMMON = 1.0  # weight, in samples, of the mean of the trials' terms
-Products = Mapping[Run, tuple[Vec, Vec]]
 _HELD = 1e-10  # share of the greatest curvature: keeps undetermined unknowns at their start
 
 
@@ -35,13 +33,11 @@ class Hypothesis:
     Attributes:
         q: fitted unknowns (Q,).
         mse: mean square error of that fit [deg^2].
-        products: of fitted runs at q, see `Problem.products`; a fit that starts there needs no run.
     """
 
     problem: Problem
     q: Vec
     mse: float
-    products: Products = field(default_factory=dict)
 
     @property
     def effects(self) -> frozenset[str]:
@@ -67,9 +63,9 @@ class Hypothesis:
         """Angles (T,) of a free run [deg]."""
         return self.problem.angles(self.q, run)
 
-    def errors(self, runs: Sequence[Run]) -> list[Vec]:
-        """Angle minus measurement where each run counts (C,) [deg], without terms of the trial."""
-        return self.problem.errors(self.q, runs)
+    def error(self, run: Run) -> Vec:
+        """Angle minus measurement where it counts (C,) [deg], without terms of the trial."""
+        return self.problem.error(self.q, run)[0]
 
     def held_out_errors(self, runs: Sequence[Run]) -> tuple[Vec, ...]:
         """Angle minus measurement of each run (C,) [deg]; terms of a trial are estimated on its other blocks."""
@@ -88,7 +84,6 @@ def fit_problem(
     evaluations: int = 25,
     tolerance: float = 1e-4,
     white: Vec = AS_IT_IS,
-    known: Products = MappingProxyType({}),
 ) -> Hypothesis:
     """Fit a hypothesis to runs from one start; counted samples weigh the same.
 
@@ -98,13 +93,10 @@ def fit_problem(
         evaluations: greatest number of free runs over all trials.
         tolerance: relative change of the error at which the fit ends.
         white: filter of the errors whose squares are summed (`whitening`).
-        known: products of these runs and others at the start, where an earlier fit ended there.
     """
     margin = _EDGE * (problem.upper - problem.lower)
     inside = np.clip(start, problem.lower + margin, problem.upper - margin)
     search = _CondensedSearch(problem, runs, inside, white)
-    if np.array_equal(start, inside) and all(run in known for run in runs):
-        search.made[inside.tobytes()] = {run: known[run] for run in runs}
     q = minimise(
         search.evaluate,
         inside,
@@ -115,7 +107,7 @@ def fit_problem(
         gtol=1e-12,
         max_nfev=evaluations,
     )
-    return Hypothesis(problem, q, search.mse(q), search.products(q) if white is AS_IT_IS else {})
+    return Hypothesis(problem, q, search.mse(q))
 
 
 class _CondensedSearch:
@@ -124,39 +116,34 @@ class _CondensedSearch:
     def __init__(self, problem: Problem, runs: Sequence[Run], start: Vec, white: Vec) -> None:
         self._problem, self._start, self._white, self._groups = problem, start, white, RunsTogether.groups(runs)
         self._samples = sum(int(run.counts.sum()) for run in runs)
-        self.made: dict[bytes, Products] = {}
-
-    def products(self, q: Vec) -> Products:
-        """Products of each run, made once."""
-        key = q.tobytes()
-        if key not in self.made:
-            products = (self._problem.products(q, group, self._white) for group in self._groups)
-            self.made[key] = {run: made for part in products for run, made in part.items()}
-        return self.made[key]
+        self._at: Vec | None = None
+        self._energy = 0.0
 
     def mse(self, q: Vec) -> float:
         """Mean square of the errors that count [deg^2]."""
-        return float(sum(square[-1, -1] for square, _ in self.products(q).values())) / self._samples
+        if self._at is None or not np.array_equal(q, self._at):
+            self.evaluate(q)
+        return self._energy / self._samples
 
     def evaluate(self, q: Vec) -> tuple[Vec, Mat]:
-        squares, common = zip(*self.products(q).values(), strict=True)
-        square = np.sum(squares, axis=0)
-        square += self._pull(square, q)
-        mean = np.mean(common, axis=0)
-        square += _COMMON * self._samples * mean.T @ mean
+        products = [self._problem.products(q, group, self._white) for group in self._groups]
+        square, common = (
+            np.sum([normal for normal, _ in products], axis=0),
+            [row for _, rows in products for row in rows],
+        )
+        self._at, self._energy = q.copy(), float(square[-1, -1])
+        square = square + self._pull(square, q)
+        if common:
+            mean = np.mean(common, axis=0)
+            square += _COMMON * self._samples * mean.T @ mean
         triangle = triangle_of(square)
         return triangle[:, -1], triangle[:, :-1]
 
     def _pull(self, square: Vec, q: Vec) -> Vec:
         """Products of derivatives and errors of the distance from the start and of roughness."""
-        away, pull = q - self._start, np.eye(q.size + 1)
-        pull[-1, :-1] = pull[:-1, -1] = away
-        pull[-1, -1] = away @ away
-        pull *= _HELD * np.max(np.diag(square)[:-1], initial=0.0)
-        if len(self._problem.roughness):
-            rough = np.column_stack([self._problem.roughness, self._problem.roughness @ q])
-            pull += rough.T @ rough
-        return pull
+        away = np.column_stack([np.eye(q.size), q - self._start])
+        rough = np.column_stack([self._problem.roughness, self._problem.roughness @ q])
+        return np.asarray(_HELD * np.max(np.diag(square)[:-1], initial=0.0) * away.T @ away + rough.T @ rough)
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,11 +254,11 @@ class CrossValidation:
 
     def polished(self, hypothesis: Hypothesis) -> Hypothesis:
         """Hypothesis fitted to convergence."""
-        return fit_problem(hypothesis.problem, self.runs, hypothesis.q, 60, 1e-6, known=hypothesis.products)
+        return fit_problem(hypothesis.problem, self.runs, hypothesis.q, 60, 1e-6)
 
     def fitted_errors(self, hypothesis: Hypothesis) -> Blocks:
         """Training errors, in the blocks of `judge`."""
-        return blocks_of(hypothesis.errors(self.runs), self.runs)
+        return blocks_of([hypothesis.error(run) for run in self.runs], self.runs)
 
     @cached_property
     def _splits(self) -> tuple[tuple[tuple[Run, ...], dict[int, Run]], ...]:
@@ -293,8 +280,7 @@ class CrossValidation:
         problem, fold_q = hypothesis.problem, []
         parts: list[list[Vec]] = [[] for _ in self.runs]
         for rest, held_out in self._splits:
-            start = hypothesis.q, self.evaluations, 1e-3
-            q = fit_problem(problem, rest, *start, known=hypothesis.products).q if rest else hypothesis.q
+            q = fit_problem(problem, rest, hypothesis.q, self.evaluations, 1e-3).q if rest else hypothesis.q
             fold_q.append(q)
             for k, error in zip(held_out, problem.held_out_errors(q, list(held_out.values())), strict=True):
                 parts[k].append(error)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
@@ -76,21 +76,22 @@ class TrialTerms:
 
     @property
     def apart(self) -> bool:
-        """Whether a trial has a separate offset, see `split`."""
+        """Whether a trial has a separate offset, see `common`."""
         return self.shift or self.trial_offset
 
-    def split(self, run: Run, theta: Vec, both: Vec) -> tuple[Vec, Vec]:
-        """Split derivative and, in the last column, error (C, Q + 1) into what the terms do not explain and a mean.
+    def common(self, run: Run, theta: Vec, both: Vec) -> Vec:
+        """Offset and, if fitted, gain times the spread of theta [deg] (1 or 2, Q + 1), the derivative first."""
+        columns = self.columns(run, theta, both)
+        scale = np.array([1.0, max(float(theta.std()), 1e-9)] if self.shift else [1.0])[:, None]
+        return np.asarray(scale * np.linalg.pinv(columns)[: len(scale)] @ both)
 
-        The mean is the offset and, if fitted, the gain times the spread of theta [deg] (1 or 2, Q + 1), see `apart`.
-        """
+    def projected(self, run: Run, theta: Vec, both: Vec) -> Vec:
+        """Derivative and, in the last column, error (C, Q + 1), without the part explained by the terms."""
         columns = self.columns(run, theta, both)
         if not columns.shape[1]:
-            return both, both[:0]
-        basis, triangle = np.linalg.qr(columns)
-        shares = basis.T @ both
-        scale = np.array([1.0, max(float(theta.std()), 1e-9)] if self.shift else [1.0])[:, None]
-        return both - basis @ shares, scale * np.linalg.pinv(triangle)[: len(scale)] @ shares
+            return both
+        basis = np.linalg.qr(columns)[0]
+        return both - basis @ (basis.T @ both)
 
     def cross_fitted(self, run: Run, theta: Vec, error: Vec, by_q: Vec) -> Vec:
         """Error (C,) minus the terms, whose coefficients come from every other block of four seconds."""
@@ -234,14 +235,6 @@ class Problem:
         theta = self._staged.simulate(together.command[:, None], run.dt_s, state, p)[0][together.recorded, 0]
         return np.asarray(theta + run.correction, dtype=np.float64)
 
-    def angles_together(self, q: Vec, together: RunsTogether) -> Vec:
-        """Angles (T,) of free runs, concatenated [deg]."""
-        p = self._values(q)[0]
-        none = np.empty((p.size, 0))
-        start = self._start(together, p, none)
-        theta = self._staged.differentiate(together.command, together.dt_s, *start, p, none, together.first)[0]
-        return theta[together.recorded] + together.correction
-
     def linearised(self, q: Vec, run: Run) -> tuple[Vec, Vec]:
         """Angles (T,) and their derivative (T, Q)."""
         theta, both = self._pass(q, RunsTogether.of([run]))
@@ -249,19 +242,9 @@ class Problem:
 
     def error(self, q: Vec, run: Run) -> tuple[Vec, Vec]:
         """Angle minus measurement where it counts (C,) and its derivative (C, Q), without terms of the trial."""
-        left = next(self._left(q, RunsTogether.of([run])))[0]
+        theta, both = self._pass(q, RunsTogether.of([run]))
+        left = self.terms.projected(run, theta[run.scored], both[run.scored])
         return left[:, -1], left[:, :-1]
-
-    def errors(self, q: Vec, runs: Sequence[Run]) -> list[Vec]:
-        """Angle minus measurement where each run counts (C,), without terms of the trial."""
-        groups = RunsTogether.groups(runs)
-        return [np.ascontiguousarray(left[:, -1]) for group in groups for left, _ in self._left(q, group)]
-
-    def _left(self, q: Vec, together: RunsTogether) -> Iterator[tuple[Vec, Vec]]:
-        """Derivatives and error of each run where it counts, and the means of its terms, see `TrialTerms.split`."""
-        theta, both = self._pass(q, together)
-        for run, at in together.each():
-            yield self.terms.split(run, theta[at][run.scored], both[at][run.scored])
 
     def held_out_errors(self, q: Vec, runs: Sequence[Run]) -> tuple[Vec, ...]:
         """Angle minus measurement where each run counts (C,); terms of a trial are estimated on its other blocks."""
@@ -274,21 +257,24 @@ class Problem:
                 errors.append(self.terms.cross_fitted(run, theta[at][run.scored], error, scored[:, :-1]))
         return tuple(errors)
 
-    def products(self, q: Vec, together: RunsTogether, white: Vec = AS_IT_IS) -> dict[Run, tuple[Vec, Vec]]:
-        """Products of derivatives and errors of each run in one pass, derivatives first and the error last.
+    def products(self, q: Vec, together: RunsTogether, white: Vec = AS_IT_IS) -> tuple[Vec, list[Vec]]:
+        """Products of derivatives and errors in one pass over many runs, derivatives first and the error last.
 
         Args:
             white: filter for derivatives and error (`whitening`).
 
         Returns:
-            Of each run the sum over the samples that count of the products of both (Q + 1, Q + 1), its terms projected
-            out, and its offset and gain (2, Q + 1) [deg]; none (0, Q + 1) where trials have no offset.
+            Sum over the samples that count of the products of both (Q + 1, Q + 1), the terms of trials projected out,
+            and offsets and gains of the trials (2, Q + 1) each [deg]; none where trials have no offset.
         """
-        made = {}
-        for run, (left, mean) in zip(together.runs, self._left(q, together), strict=True):
-            part = whitened(left, white)
-            made[run] = part.T @ part, mean if self.terms.apart else mean[:0]
-        return made
+        theta, both = self._pass(q, together)
+        parts, common = [both[a:b] for a, b in together.spans], []
+        if self.terms != NO_TERMS:
+            scored = [(run, theta[at][run.scored], both[at][run.scored]) for run, at in together.each()]
+            parts = [self.terms.projected(*pair) for pair in scored]
+            common = [self.terms.common(*pair) for pair in scored] if self.terms.apart else []
+        parts = [whitened(part, white) for part in parts]
+        return sum((part.T @ part for part in parts), np.zeros((q.size + 1, q.size + 1))), common
 
     def begun(self, q: Vec, run: Run, box: Box) -> Run:
         """Run with the start estimated at unknowns q, where it begins in motion."""
@@ -319,11 +305,10 @@ class Problem:
         """Set the derivatives of the states by command and angle at rest before, in the first columns."""
         command, angle = together.rests
         none, leads = np.empty((p.size, 0)), np.array([run.lead > 0 for run in together.runs])
-        u, y = np.concatenate([command + _NUDGE, command]), np.concatenate([angle, angle + _NUDGE])
-        moved = self._staged.settled(u, y, together.dt_s, p, none)[0]
-        by = (moved.reshape(len(state), 2, -1) - state[:, None]) / _NUDGE * leads
-        for k, part in enumerate((self._before, slice(self._before.stop, None))):
-            moving[part, :, k] = by[part, k]
+        for k, (du, dy) in enumerate(((_NUDGE, 0.0), (0.0, _NUDGE))):
+            moved = (self._staged.settled(command + du, angle + dy, together.dt_s, p, none)[0] - state) / _NUDGE
+            part = self._before if k == 0 else slice(self._before.stop, None)
+            moving[part, :, k] = moved[part] * leads
         for _, index in self._carried:
             moving[index, :, :_STARTS] = 0.0
 

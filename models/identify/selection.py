@@ -327,7 +327,7 @@ class _Fits(_Judged):
             made += [replace(terms, shift=True, width=width)] if width >= 0 else []
         if not terms.frequency_hz and "periodic_disturbance" not in self._without:
             runs, settings = list(self._validation.runs), self._settings
-            errors = base.errors(runs)
+            errors = [base.error(run) for run in runs]
             line = strongest_line(runs, errors, settings.lowest_hz, settings.highest_hz)
             if line > 0:
                 is_motion = bool(motion_frequencies(runs, np.array([2 * line]))[0])

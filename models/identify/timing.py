@@ -58,7 +58,7 @@ def timing_rivals(
     for candidate, made in zip(tried, side_by_side(fit, tried), strict=True):
         fitted.setdefault(candidate.effect, []).append((candidate, made))
     best = min((h for forms in fitted.values() for _, h in forms), key=lambda h: h.mse)
-    white = whitening(best.errors(validation.runs))
+    white = whitening([best.error(run) for run in validation.runs])
     hypotheses = {}
     for effect, forms in fitted.items():
         forms = sorted(forms, key=lambda form: form[1].mse)[:_FORMS]
@@ -99,7 +99,7 @@ def _quick(validation: CrossValidation, hypothesis: Hypothesis, white: Vec) -> V
     """Energy of the whitened training errors, in blocks (B,)."""
     problem, runs = hypothesis.problem, validation.runs
     q = fit_problem(problem, runs, hypothesis.q, validation.evaluations, 1e-4, white).q
-    return blocks_of([whitened(error, white) for error in problem.errors(q, runs)], runs).energy
+    return blocks_of([whitened(problem.error(q, run)[0], white) for run in runs], runs).energy
 
 
 def by_timing(

@@ -35,11 +35,10 @@ def wave(hz: float, phase: float, size: float = 1.5) -> Vec:
 def test_projection_is_idempotent_and_orthogonal(terms: TrialTerms) -> None:
     theta, error, by_q = linearised()
     both = np.column_stack([by_q, error])
-    found, _ = terms.split(RUN, theta, both)
+    found = terms.projected(RUN, theta, both)
     once, slope = found[:, -1], found[:, :-1]
-    again, mean = terms.split(RUN, theta, np.column_stack([by_q, once]))
+    again = terms.projected(RUN, theta, np.column_stack([by_q, once]))
     np.testing.assert_allclose(again[:, -1], once, atol=1e-9)
-    np.testing.assert_allclose(mean[:, -1], 0.0, atol=1e-9)
     columns = terms.columns(RUN, theta, by_q)
     np.testing.assert_allclose(columns.T @ once, 0.0, atol=1e-6)
     np.testing.assert_allclose(columns.T @ slope, 0.0, atol=1e-4)
@@ -50,9 +49,7 @@ def test_no_terms_change_nothing() -> None:
     theta, error, by_q = linearised()
     assert NO_TERMS.names == ()
     both = np.column_stack([by_q, error])
-    left, mean = NO_TERMS.split(RUN, theta, both)
-    assert left is both
-    assert not mean.size
+    assert NO_TERMS.projected(RUN, theta, both) is both
     assert NO_TERMS.cross_fitted(RUN, theta, error, by_q) is error
 
 
@@ -60,7 +57,7 @@ def test_no_terms_change_nothing() -> None:
 def test_what_the_terms_hold_is_taken_out(terms: TrialTerms) -> None:
     theta, error, by_q = linearised()
     added = error + terms.columns(RUN, theta, by_q) @ np.linspace(0.5, 1.0, terms.columns(RUN, theta, by_q).shape[1])
-    left = [terms.split(RUN, theta, np.column_stack([by_q, e]))[0][:, -1] for e in (added, error)]
+    left = [terms.projected(RUN, theta, np.column_stack([by_q, e]))[:, -1] for e in (added, error)]
     np.testing.assert_allclose(*left, atol=1e-8)
 
 
@@ -81,7 +78,7 @@ def test_noise_is_not_explained_when_judged() -> None:
     """Projection always lowers the error; judged on other blocks, terms that are not there do not."""
     theta, _, by_q = linearised()
     noise, terms = np.random.default_rng(5).standard_normal(RUN.command.size), TERMS[2]
-    projected = terms.split(RUN, theta, np.column_stack([by_q, noise]))[0][:, -1]
+    projected = terms.projected(RUN, theta, np.column_stack([by_q, noise]))[:, -1]
     judged = terms.cross_fitted(RUN, theta, noise, by_q)
     assert projected @ projected < noise @ noise < judged @ judged
 
