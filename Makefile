@@ -31,7 +31,7 @@ demo: $(DEMO_VENV)/.installed ## simulated closed-loop comparison without torch;
 test: $(VENV)/.installed ## the whole suite; ARGS="tests/ctrl -x" is handed to pytest
 	$(PYTEST) $(ARGS)
 
-test-fast: $(VENV)/.installed ## the suite without its slow part, about four minutes on two cores
+test-fast: $(VENV)/.installed ## the suite without its slow part, about two minutes on two cores
 	$(PYTEST) -m "not slow" $(ARGS)
 
 test-matrix: $(VENV)/.installed ## the fast tests with every Python found, with pinned and lowest versions; ARGS="--python 3.12 --set lowest"
