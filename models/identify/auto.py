@@ -237,7 +237,7 @@ def _advice(parameters: Sequence[ParameterRow], units: Units) -> Iterator[str]:
 
 
 _WIDENING = 1.5  # factor k on the intervals
-# Wider once more in what is reported: 40 drawn devices of six families had 72 % of their lags, delays and creeps within
+# Wider once more in what is reported: 40 drawn devices of six families had 74 % of their lags, delays and creeps within
 # the intervals by which parts are chosen. There, an effect that is kept for nothing costs less than one that is lost.
 _REPORTED = 1.73
 _QUANTILE = 1.645  # of the normal distribution, 95 %
