@@ -15,13 +15,12 @@ from hystmpc.trials.types import Mat, Vec
 from ..chain import Chain
 from ..effects.effect import Candidate
 from .baseline import Baseline
-from .least_squares import minimise, triangle_of
+from .least_squares import minimise_in_boxes
 from .problem import Problem, TrialTerms
 from .runs import AS_IT_IS, Blocks, Run, RunsTogether, blocks_of
 
 LARGEST_FOLDS = 3
 _LEAST_ERROR = 1e-300
-_EDGE = 1e-9
 _COMMON = 1.0  # weight, in samples, of the mean of the trials' terms
 _HELD = 1e-10  # share of the greatest curvature: keeps undetermined unknowns at their start
 
@@ -94,50 +93,39 @@ def fit_problem(
         tolerance: relative change of the error at which the fit ends.
         white: filter of the errors whose squares are summed (`whitening`).
     """
-    margin = _EDGE * (problem.upper - problem.lower)
-    inside = np.clip(start, problem.lower + margin, problem.upper - margin)
-    search = _CondensedSearch(problem, runs, inside, white)
-    q = minimise(
-        search.evaluate,
-        inside,
-        (problem.lower, problem.upper),
-        x_scale=1.0,
-        ftol=tolerance,
-        xtol=1e-6,
-        gtol=1e-12,
-        max_nfev=evaluations,
-    )
+    search = _Search(problem, runs, start, white)
+    ends, units = (problem.lower, problem.upper), problem.units(start)
+    q = minimise_in_boxes(search.products, start, ends, units, evaluations, tolerance)
     return Hypothesis(problem, q, search.mse(q))
 
 
-class _CondensedSearch:
-    """Errors and derivatives of all runs as the triangle R of a QR factorisation of (J, r)."""
+class _Search:
+    """Errors and derivatives of all runs, and the pull to the start."""
 
     def __init__(self, problem: Problem, runs: Sequence[Run], start: Vec, white: Vec) -> None:
         self._problem, self._start, self._white, self._groups = problem, start, white, RunsTogether.groups(runs)
         self._samples = sum(int(run.counts.sum()) for run in runs)
-        self._at: Vec | None = None
-        self._energy = 0.0
+        self._energies: dict[bytes, float] = {}
 
     def mse(self, q: Vec) -> float:
         """Mean square of the errors that count [deg^2]."""
-        if self._at is None or not np.array_equal(q, self._at):
-            self.evaluate(q)
-        return self._energy / self._samples
+        if q.tobytes() not in self._energies:
+            self.products(q)
+        return self._energies[q.tobytes()] / self._samples
 
-    def evaluate(self, q: Vec) -> tuple[Vec, Mat]:
+    def products(self, q: Vec) -> Mat:
+        """Products of derivatives and errors (Q + 1, Q + 1)."""
         products = [self._problem.products(q, group, self._white) for group in self._groups]
         square, common = (
             np.sum([normal for normal, _ in products], axis=0),
             [row for _, rows in products for row in rows],
         )
-        self._at, self._energy = q.copy(), float(square[-1, -1])
+        self._energies[q.tobytes()] = float(square[-1, -1])
         square = square + self._pull(square, q)
         if common:
             mean = np.mean(common, axis=0)
             square += _COMMON * self._samples * mean.T @ mean
-        triangle = triangle_of(square)
-        return triangle[:, -1], triangle[:, :-1]
+        return square
 
     def _pull(self, square: Vec, q: Vec) -> Vec:
         """Products of derivatives and errors of the distance from the start and of roughness."""

@@ -13,9 +13,11 @@ from hystmpc.models.identify.auto import identify_auto
 from hystmpc.models.identify.auto_search import AutoSearch, Choice
 from hystmpc.models.identify.free_run import StagedChain
 from hystmpc.models.identify.runs import ordered, runs_of
+from hystmpc.models.operators.dynamics import Delay
 from hystmpc.models.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from hystmpc.trials.trial import Trial
 
+from .test_auto import PAIR, ZEROED_DEG, trials_of
 from .zoo import DT
 
 CORE = PrandtlIshlinskii(4.0, (3.0, 2.0, 1.0), 0.2, 0.0, 22.0)
@@ -57,6 +59,18 @@ def test_the_order_of_the_files_changes_nothing() -> None:
     assert other.choice.core.label == first.choice.core.label
     np.testing.assert_allclose(other.choice.hypothesis.q, first.choice.hypothesis.q, rtol=1e-9)
     assert other.choice.judged.mse == pytest.approx(first.choice.judged.mse, rel=1e-9)
+
+
+@pytest.mark.slow
+def test_the_last_digits_of_the_logs_change_no_structure() -> None:
+    """Two short logs, of a delay and zeroed anew: many devices explain them nearly as well."""
+    trials = trials_of((Delay(0.09, 8),), PAIR, ZEROED_DEG)
+    nearly = [replace(trial, angle=trial.angle * (1.0 + 1e-13)) for trial in trials]
+    first, other = identify_auto(trials), identify_auto(nearly)
+    assert other.choice.hypothesis.label == first.choice.hypothesis.label
+    assert other.choice.core.label == first.choice.core.label
+    np.testing.assert_allclose(other.choice.hypothesis.q, first.choice.hypothesis.q, rtol=1e-6)
+    assert other.choice.judged.mse == pytest.approx(first.choice.judged.mse, rel=1e-6)
 
 
 def searched(*labels: str) -> tuple[AutoSearch, dict[str, Choice]]:
