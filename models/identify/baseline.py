@@ -24,7 +24,8 @@ from .free_run import StagedChain
 _EFFECTS_BY_ANOTHER_NAME = {"beta": "rate_dependence"}
 _LINEAR_IN_WEIGHTS = (Line, PrandtlIshlinskii, CurvedPlays)
 _LOOP_SAMPLES = 200
-_ROUGHNESS = 0.03  # share of the range over which a difference of slopes counts: 25 samples of 0.3 % of the angle
+_ROUGHNESS = 0.05  # share of the range over which a difference of slopes counts: 70 samples of 0.3 % of the angle
+_LEVEL = 0.03  # the same for the slope itself
 _SLOW_S = 1.0  # sample time of that loop: slow enough for rate-dependent widths to vanish
 
 
@@ -134,9 +135,10 @@ class FreeCoreBaseline(Baseline):
     Args:
         command: range of the command [cmd].
         free_widths: whether the half-widths of curved plays are free, too.
+        anew: whether curved plays that the trials do not show are taken for absent; else they stay as they are given.
     """
 
-    def __init__(self, chain: Chain, command: Range, free_widths: bool = False) -> None:
+    def __init__(self, chain: Chain, command: Range, free_widths: bool = False, anew: bool = False) -> None:
         core, values, parameters = chain.core, np.array(chain.core.values), chain.core.parameters
         span = command.upper - command.lower
         slopes = [abs(v) for v, p in zip(values, parameters, strict=True) if p.unit == "deg/cmd"]
@@ -159,6 +161,9 @@ class FreeCoreBaseline(Baseline):
         if isinstance(core, CurvedPlays):
             self.held = tuple(range(len(slopes) + 1 + (core.plays if free_widths else 0), values.size))
             self.roughness = _ROUGHNESS * span * _differences(core, values.size)
+            if anew:
+                of_plays = np.eye(values.size)[core.pieces + 1 : len(slopes)]
+                self.roughness = np.vstack([self.roughness, _LEVEL * span * of_plays])
 
     def core_values(self, z: Vec) -> tuple[Vec, Vec]:
         return np.clip(z, self.lower, self.upper), np.eye(z.size)

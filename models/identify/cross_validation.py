@@ -19,7 +19,7 @@ from .least_squares import minimise_in_boxes
 from .problem import Problem, TrialTerms
 from .runs import AS_IT_IS, Blocks, Run, RunsTogether, blocks_of
 
-LARGEST_FOLDS = 3
+_PARTS = 3  # of the time of a single run
 _LEAST_ERROR = 1e-300
 _COMMON = 1.0  # weight, in samples, of the mean of the trials' terms
 _HELD = 1e-10  # share of the greatest curvature: keeps undetermined unknowns at their start
@@ -187,17 +187,20 @@ class CrossValidation:
     Attributes:
         evaluations: of a fit from one start.
         in_time: whether a single run is held out in thirds of its time; else its training error counts.
+        most_folds: greatest number of folds. Of few logs each is often the only one of its kind: with as many folds as
+            logs, a fit misses no other one.
     """
 
     baseline: Baseline
     runs: tuple[Run, ...]
     evaluations: int = 12
     in_time: bool = False
+    most_folds: int = 3
 
     @cached_property
     def folds(self) -> tuple[tuple[int, ...], ...]:
         """Indices of the runs held out together; neighbours in the recording order are in different folds."""
-        count = min(LARGEST_FOLDS, len(self.runs))
+        count = min(self.most_folds, len(self.runs))
         return tuple(tuple(range(k, len(self.runs), count)) for k in range(count))
 
     def retuned(self) -> Hypothesis:
@@ -257,7 +260,7 @@ class CrossValidation:
                 for fold in self.folds
             )
         run, splits = next(iter(self.runs)), []
-        for part in np.array_split(np.flatnonzero(run.counts), LARGEST_FOLDS):
+        for part in np.array_split(np.flatnonzero(run.counts), _PARTS):
             third = np.zeros(run.counts.size, dtype=bool)
             third[part] = True
             splits.append(((replace(run, counts=run.counts & ~third),), {0: replace(run, counts=third)}))
