@@ -1,4 +1,4 @@
-"""Laws of least squares in boxes: the optimum of a linear problem in one step, and no descent that bounds would allow."""
+"""Laws of least squares in boxes: a linear problem takes one step, and no bound ends a descent that it allows."""
 
 from __future__ import annotations
 
