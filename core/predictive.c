@@ -33,12 +33,16 @@ static void begin_planning(planning *q, const hystmpc_problem *p, const real *x,
     q->room = room;
 }
 
-/* Admissible plans to begin with; how many there are, or -1 where the inverse from outside has failed. */
+/* Admissible plans to begin with; how many there are, or -1 where the inverse from outside has failed. An inverse that is
+ * late in motion is asked for the angles that are wanted so many samples later. */
 static int build_candidates(const planning *q, const real *wanted, real u_last, const real *remaining, int left,
                             int resting) {
     const hystmpc_law *l = q->planner->law;
     const real bounds[3] = {l->lower, l->upper, l->reach};
-    if (hystmpc_model_follow(q->problem->model, q->x, wanted, q->horizon, u_last, bounds, q->targets, q->room)) return -1;
+    const int lead = q->problem->law->lead;
+    real *const asked = q->angles;
+    for (int k = 0, last = q->horizon - 1; k <= last; k++) asked[k] = wanted[k + lead < last ? k + lead : last];
+    if (hystmpc_model_follow(q->problem->model, q->x, asked, q->horizon, u_last, bounds, q->targets, q->room)) return -1;
     copy(q->targets + q->horizon, q->plans + HYSTMPC_INVERTED * q->horizon, q->horizon);
     return hystmpc_candidates(l, q->targets, remaining, left, u_last, resting, q->plans);
 }
@@ -149,9 +153,11 @@ static void improve_plan(const planning *q, hystmpc_head *head, const hystmpc_gi
 }
 
 /* Moves cost little where the model is as close to the device as its file says: then they are those of the reference.
- * Where it is not, the estimate of its error makes moves of its own, and a lag that the model lacks an oscillation. */
+ * Where it is not, the estimate of its error makes moves of its own, and a lag that the model lacks an oscillation. In
+ * between the logarithms are weighted: of two weights a hundredfold apart a mean is the greater one. */
 static real rate_weight(const hystmpc_problem *p, const hystmpc_given *g) {
-    return p->law->rate_weight + g->close * (p->law->close_rate_weight - p->law->rate_weight);
+    const real far = p->law->rate_weight, close = p->law->close_rate_weight;
+    return g->close < R(1.0) ? far * MATH(pow)(close / far, g->close) : close;
 }
 
 /* The wanted command and the plan behind it; the caller restores the head where there is none. */

@@ -11,7 +11,7 @@ import numpy as np
 
 from hystmpc.core.structs import Struct, constants, fields_of, struct
 from hystmpc.models.inverse.drive import DrivenInverse
-from hystmpc.models.inverse.inverses import inverted_after_a_hold
+from hystmpc.models.inverse.inverses import inverted_after_a_hold, lead_of
 from hystmpc.models.model import Inverse, Predictor, static_gain
 from hystmpc.trials.errors import ControllerError
 
@@ -158,6 +158,7 @@ def _law(settings: LawSettings, device: _Modelled, solve: Callable[..., int] | N
         planner=_preview(device, horizon) if late else None,
         rate_weight=_preview_rate(device),
         candidates=candidates_over(horizon),
+        lead=lead_of(device.inverted),
         angle_low=-math.inf,
         angle_high=math.inf,
         gains=_gains(settings.gains, device.dt) if isinstance(settings, InversePidControllerSettings) else None,
@@ -185,6 +186,7 @@ def _predictive(settings: PredictiveSettings, device: _Modelled, solve: Callable
         horizon=horizon,
         planner=_planner(settings, device, horizon, solve),
         candidates=candidates_over(horizon),
+        lead=lead_of(device.inverted),
         rate_weight=weights.rate,
         close_rate_weight=weights.rate if oscillates else weights.rate_close,
         angle_low=low,
@@ -234,9 +236,14 @@ def _gains(gains: PidSettings, dt: float) -> Struct:
 
 
 def iterations_of(settings: PredictiveSettings, inverse: Inverse) -> int:
-    """Return the planner's iterations per step: at least two for a first-guess inverse, see `steady_inverse`."""
+    """Return the planner's iterations per step.
+
+    They are at least the two of the inverse over a preview for a first-guess inverse, see `steady_inverse`, and where
+    there is no sensor to make up for an unfinished plan.
+    """
     first_guess = inverted_after_a_hold(inverse.inverse if isinstance(inverse, LearnedInverse) else inverse)
-    return max(settings.iterations, _REFINED) if first_guess else settings.iterations
+    alone = settings.estimator.sensor == "none" and isinstance(settings, LinearisedMpcSettings)
+    return max(settings.iterations, _REFINED) if first_guess or alone else settings.iterations
 
 
 def _planner(settings: PredictiveSettings, device: _Modelled, horizon: int, solve: Callable[..., int] | None) -> Struct:
