@@ -117,7 +117,7 @@ def _identified(
                 device, parameters = kept, _numbers_at(last, kept, parameters)
     except KeyboardInterrupt:  # the device is identified; only the table of its parts is missing
         search.interrupted = True
-    noise = estimation_noise(trials, last.left_out(device))
+    noise = estimation_noise(trials, _without_zeros(last.left_out(device), search.offsets))
     parameters = tuple(row.times(decades.in_log(row.unit)) for row in parameters)
     return AutoFit(
         device,
@@ -132,6 +132,11 @@ def _identified(
         decades,
         search.interrupted,
     )
+
+
+def _without_zeros(residuals: Sequence[Vec], zeroed: bool) -> Sequence[Vec]:
+    """Residuals without the offset of a sensor that was zeroed anew for each trial: it is no error of the model."""
+    return [residual - residual.mean() for residual in residuals] if zeroed else residuals
 
 
 def _searched(search: AutoSearch, command: Range) -> tuple[Choice, tuple[ParameterRow, ...]]:

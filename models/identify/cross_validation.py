@@ -20,6 +20,8 @@ from .problem import Problem, TrialTerms
 from .runs import AS_IT_IS, Blocks, Run, RunsTogether, blocks_of
 
 _PARTS = 3  # of the time of a single run
+_TO_CONVERGENCE = (60, 1e-6)  # greatest number of evaluations, and tolerance
+_LEAST_ERROR = 1e-300
 _LEAST_ERROR = 1e-300
 _COMMON = 1.0  # weight, in samples, of the mean of the trials' terms
 _HELD = 1e-10  # share of the greatest curvature: keeps undetermined unknowns at their start
@@ -245,7 +247,7 @@ class CrossValidation:
 
     def polished(self, hypothesis: Hypothesis) -> Hypothesis:
         """Hypothesis fitted to convergence."""
-        return fit_problem(hypothesis.problem, self.runs, hypothesis.q, 60, 1e-6)
+        return fit_problem(hypothesis.problem, self.runs, hypothesis.q, *_TO_CONVERGENCE)
 
     def fitted_errors(self, hypothesis: Hypothesis) -> Blocks:
         """Training errors, in the blocks of `judge`."""
@@ -280,10 +282,15 @@ class CrossValidation:
         return HeldOutErrors(blocks.energy, blocks.samples, blocks.run, hypothesis, errors, tuple(fold_q))
 
     def left_out(self, judged: HeldOutErrors) -> tuple[Vec, ...]:
-        """Held-out measurement minus free run (C,) [deg] of every run, terms of single trials included."""
+        """Held-out measurement minus free run (C,) [deg] of every run, terms of single trials included.
+
+        Fits to the other trials go on to convergence here. One that ends early, as in a selection, still knows the
+        trials that are held out by its start, the fit to all trials.
+        """
         problem = judged.hypothesis.problem
         parts: list[list[Vec]] = [[] for _ in self.runs]
-        for (_, held_out), q in zip(self._splits, judged.fold_q, strict=True):
+        for (rest, held_out), fold_q in zip(self._splits, judged.fold_q, strict=True):
+            q = fit_problem(problem, rest, fold_q, *_TO_CONVERGENCE).q if rest else fold_q
             for k, run in held_out.items():
                 parts[k].append((run.angle - problem.angles(q, run))[run.counts])
         return tuple(map(np.concatenate, parts))
