@@ -22,7 +22,6 @@ from .runs import AS_IT_IS, Blocks, Run, RunsTogether, blocks_of
 _PARTS = 3  # of the time of a single run
 _TO_CONVERGENCE = (60, 1e-6)  # greatest number of evaluations, and tolerance
 _LEAST_ERROR = 1e-300
-_LEAST_ERROR = 1e-300
 _COMMON = 1.0  # weight, in samples, of the mean of the trials' terms
 _HELD = 1e-10  # share of the greatest curvature: keeps undetermined unknowns at their start
 
