@@ -96,7 +96,7 @@ typedef struct {
     real inverse_pid_above, pid_above; /* errors of the forecasts from which the two others take over */
     const hystmpc_planner *planner;  /* of the predictive law; of a feedforward over a preview; else null */
     int candidates;                  /* greatest number of candidate plans of that planner */
-    int lead;                        /* samples by which the inverse is late in motion, at least 0 */
+    int spare;
     real rate_weight;                /* on moves of the command */
     real close_rate_weight;          /* the same where the model is as close to the device as its file says */
     real angle_low, angle_high;      /* soft limits [deg] */

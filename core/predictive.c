@@ -33,16 +33,12 @@ static void begin_planning(planning *q, const hystmpc_problem *p, const real *x,
     q->room = room;
 }
 
-/* Admissible plans to begin with; how many there are, or -1 where the inverse from outside has failed. An inverse that is
- * late in motion is asked for the angles that are wanted so many samples later. */
+/* Admissible plans to begin with; how many there are, or -1 where the inverse from outside has failed. */
 static int build_candidates(const planning *q, const real *wanted, real u_last, const real *remaining, int left,
                             int resting) {
     const hystmpc_law *l = q->planner->law;
     const real bounds[3] = {l->lower, l->upper, l->reach};
-    const int lead = q->problem->law->lead;
-    real *const asked = q->angles;
-    for (int k = 0, last = q->horizon - 1; k <= last; k++) asked[k] = wanted[k + lead < last ? k + lead : last];
-    if (hystmpc_model_follow(q->problem->model, q->x, asked, q->horizon, u_last, bounds, q->targets, q->room)) return -1;
+    if (hystmpc_model_follow(q->problem->model, q->x, wanted, q->horizon, u_last, bounds, q->targets, q->room)) return -1;
     copy(q->targets + q->horizon, q->plans + HYSTMPC_INVERTED * q->horizon, q->horizon);
     return hystmpc_candidates(l, q->targets, remaining, left, u_last, resting, q->plans);
 }

@@ -11,7 +11,7 @@ import numpy as np
 
 from hystmpc.core.structs import Struct, constants, fields_of, struct
 from hystmpc.models.inverse.drive import DrivenInverse
-from hystmpc.models.inverse.inverses import inverted_after_a_hold, lead_of
+from hystmpc.models.inverse.inverses import inverted_after_a_hold
 from hystmpc.models.model import Inverse, Predictor, static_gain
 from hystmpc.trials.errors import ControllerError
 
@@ -158,7 +158,6 @@ def _law(settings: LawSettings, device: _Modelled, solve: Callable[..., int] | N
         planner=_preview(device, horizon) if late else None,
         rate_weight=_preview_rate(device),
         candidates=candidates_over(horizon),
-        lead=lead_of(device.inverted),
         angle_low=-math.inf,
         angle_high=math.inf,
         gains=_gains(settings.gains, device.dt) if isinstance(settings, InversePidControllerSettings) else None,
@@ -186,7 +185,6 @@ def _predictive(settings: PredictiveSettings, device: _Modelled, solve: Callable
         horizon=horizon,
         planner=_planner(settings, device, horizon, solve),
         candidates=candidates_over(horizon),
-        lead=lead_of(device.inverted),
         rate_weight=weights.rate,
         close_rate_weight=weights.rate if oscillates else weights.rate_close,
         angle_low=low,

@@ -255,7 +255,7 @@ class AutoSearch:
             and (not other.core.curve or other.core.label == choice.core.label)
         ]
         best = min([choice, *simpler], key=lambda other: other.judged.mse)
-        return choice if best is choice else min(choice, self._polished(best), key=lambda other: other.judged.mse)
+        return choice if best is choice else min(best, self._polished(best), key=lambda other: other.judged.mse)
 
     def _alternatives(self, name: str, present: Choice) -> list[tuple[CoreForm, dict[str, Form]]]:
         if name == _CORE:

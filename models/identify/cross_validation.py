@@ -94,13 +94,13 @@ def fit_problem(
         tolerance: relative change of the error at which the fit ends.
         white: filter of the errors whose squares are summed (`whitening`).
     """
-    search = _Search(problem, runs, start, white)
+    search = _ErrorProducts(problem, runs, start, white)
     ends, units = (problem.lower, problem.upper), problem.units(start)
     q = minimise_in_boxes(search.products, start, ends, units, evaluations, tolerance)
     return Hypothesis(problem, q, search.mse(q))
 
 
-class _Search:
+class _ErrorProducts:
     """Errors and derivatives of all runs, and the pull to the start."""
 
     def __init__(self, problem: Problem, runs: Sequence[Run], start: Vec, white: Vec) -> None:

@@ -23,7 +23,7 @@ _MANY = 10_000  # samples
 _JITTER = 1e-13  # share of a correlation of unknowns: makes every program convex
 _LEAST_NORM = 1e-150
 _MARGIN = 1e-9  # share of the distance of both bounds: derivatives at a bound are one-sided
-_FIRST_REACH = 0.93  # not round: at whole samples of a delay the error has a kink
+_FIRST_REACH = 0.19  # not round: at whole samples of a delay the error has a kink
 _POOR, _GOOD, _SMALLER, _LARGER = 0.25, 0.75, 0.25, 2.0
 _AT_REACH = 0.95
 _LEAST_STEP = 1e-6  # in units: a search ends where a step below it is refused
@@ -134,8 +134,8 @@ def _step(square: Mat, low: Vec, high: Vec) -> Vec:
     norms = np.sqrt(np.maximum(np.diag(square)[:-1], _LEAST_NORM))
     correlation = square[:-1, :-1] / np.outer(norms, norms) + _JITTER * np.eye(norms.size)
     rows, room = norms.size, np.empty(engine().qp_bytes(norms.size, norms.size, 0), dtype=np.uint8)
-    found, hard = np.zeros(rows), np.zeros(rows)
+    scaled, hard = np.zeros(rows), np.zeros(rows)
     ends = low * norms, high * norms
     program = correlation, square[:-1, -1] / norms, np.eye(rows), *ends, hard
-    answer = engine().quadratic_program(rows, rows, *program, _CHANGES * rows, room, found)
-    return np.clip(found / norms, low, high) if answer >= 0 else np.zeros(rows)
+    answer = engine().quadratic_program(rows, rows, *program, _CHANGES * rows, room, scaled)
+    return np.clip(scaled / norms, low, high) if answer >= 0 else np.zeros(rows)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from functools import cached_property
 from typing import NamedTuple, final
 
@@ -33,11 +32,10 @@ class CompiledInverse(Inverse):
             `steady_inverse`.
         low, high: least and greatest command.
         held: samples for which the command is held before the angle counts.
-        late: samples by which the angle is then behind the wanted one on a ramp.
     """
 
-    def __init__(self, predictor: InvertiblePredictor, low: float, high: float, held: int = 1, late: int = 0) -> None:
-        self.predictor, self.low, self.high, self.held, self.late = predictor, low, high, held, late
+    def __init__(self, predictor: InvertiblePredictor, low: float, high: float, held: int = 1) -> None:
+        self.predictor, self.low, self.high, self.held = predictor, low, high, held
 
     @cached_property
     def part(self) -> Struct:
@@ -200,7 +198,7 @@ def steady_inverse(predictor: InvertiblePredictor, low: float, high: float) -> C
             break
         held = CompiledInverse(predictor.held(samples), low, high, samples)
         if not goes_back(held, predictor):
-            return CompiledInverse(held.predictor, low, high, samples, samples_late(held, predictor))
+            return held
     return exact
 
 
@@ -210,27 +208,8 @@ def inverted_after_a_hold(inverse: Inverse) -> bool:
     return isinstance(inner, CompiledInverse) and inner.held > 1
 
 
-def lead_of(inverse: Inverse) -> int:
-    """Samples by which an inverse, behind its drives, has to be asked early, since it is late in motion."""
-    inner = inverse.inner if isinstance(inverse, DrivenInverse) else inverse
-    return inner.late if isinstance(inner, CompiledInverse) else 0
-
-
 def goes_back(inverse: CompiledInverse, predictor: InvertiblePredictor) -> bool:
     """Whether the commands for a ramp of the angle, up and down again, move against it at any sample."""
-    low, high = predictor.command_range
-    return any(direction * move < -_BACK * (high - low) for direction, move, _ in _along_ramps(inverse, predictor))
-
-
-def samples_late(inverse: CompiledInverse, predictor: InvertiblePredictor) -> int:
-    """Samples, rounded up, by which the angle is behind the wanted one in the second half of a ramp."""
-    behind = [late for direction, _, late in _along_ramps(inverse, predictor) if direction > 0]
-    late = float(np.mean(behind[len(behind) // 2 :])) if behind else 0.0
-    return max(math.ceil(late - _BACK), 0) if math.isfinite(late) else 0
-
-
-def _along_ramps(inverse: CompiledInverse, predictor: InvertiblePredictor) -> Iterator[tuple[float, float, float]]:
-    """Direction, move of the command, and samples behind, along a ramp of the angle up and down again."""
     low, high = predictor.command_range
     rest = max(2, round(_REST_S / predictor.dt))
     samples = min(max(round(_RAMP_S / predictor.dt), _SAMPLES[0]), _SAMPLES[1])
@@ -239,16 +218,17 @@ def _along_ramps(inverse: CompiledInverse, predictor: InvertiblePredictor) -> It
     first, last = predictor.rollout(state, plans)[:, -1].tolist()
     for _ in range(rest):
         _, state = predictor.advance(state, low)
-    if not (math.isfinite(first) and math.isfinite(last) and first != last):
-        return
+    if not (math.isfinite(first) and math.isfinite(last)):
+        return False
     up = first + _SHARE * (last - first) * np.arange(1, samples + 1) / samples
-    step = _SHARE * (last - first) / samples
     u = low
     for direction, ramp in ((1.0, up), (-1.0, up[::-1])):
-        for wanted in ramp.tolist():
-            before, u = u, inverse.command(state, wanted, u)
-            theta, state = predictor.advance(state, u)
-            yield direction, u - before, (wanted - theta) / (direction * step)
+        for theta in ramp.tolist():
+            before, u = u, inverse.command(state, theta, u)
+            if direction * (u - before) < -_BACK * (high - low):
+                return True
+            _, state = predictor.advance(state, u)
+    return False
 
 
 class Bounds(NamedTuple):

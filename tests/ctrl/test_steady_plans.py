@@ -17,7 +17,7 @@ from hystmpc.ctrl.config import parse_controller
 from hystmpc.ctrl.planner.reach import Workspace, angles_at_rest
 from hystmpc.ctrl.planner.settings import Assembly, TipSettings
 from hystmpc.ctrl.planner.tip_controller import TipController
-from hystmpc.models.inverse.inverses import CompiledInverse, inverted_after_a_hold, lead_of
+from hystmpc.models.inverse.inverses import CompiledInverse, inverted_after_a_hold
 from hystmpc.models.load import load_model
 from hystmpc.models.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from hystmpc.models.prediction.build import ControllerModel, controller_model
@@ -25,7 +25,6 @@ from hystmpc.models.simulator import ChainModel
 from hystmpc.trials.types import Vec
 
 from ..codegen.compiled import EXAMPLES
-from .test_best_way import error
 
 LIMITS = CommandLimits(0.0, 6.0, 12.0)
 MOVE = 0.001 * (LIMITS.upper - LIMITS.lower)  # smaller moves are corrections at rest
@@ -125,31 +124,6 @@ def test_a_held_command_of_a_late_inverse_shows_its_angle(core: PrandtlIshlinski
     u = inverse.command(state, float(wanted), 0.0)
     late = inverted_after_a_hold(inverse)
     assert not late or predictor.rollout(state, np.full((1, 4), u))[0, -1] == pytest.approx(wanted, abs=1e-6)
-
-
-@pytest.mark.parametrize("beta", [0.05, 0.15, 0.3])
-def test_a_late_inverse_that_is_asked_early_is_in_time(beta: float) -> None:
-    """On a ramp, to a sample; it is late by its lead where it is asked for what is wanted now."""
-    predictor, inverse = known_of(PrandtlIshlinskii(3.0, (1.0, 1.5, 1.0, 0.5), 0.15, beta, 22.0), 0.0).feedforward
-    lead, step = lead_of(inverse), 0.4
-    assert lead >= 1
-
-    def behind(early: int) -> float:
-        theta, state = predictor.advance(predictor.initial(30.0, 0.0), 0.0)
-        first, u = theta, 0.0
-        for k in range(40):
-            u = inverse.command(state, first + step * (k + early), u)
-            theta, state = predictor.advance(state, u)
-        return (first + step * 39 - theta) / step
-
-    assert lead - 1.0 < behind(0) <= lead
-    assert -1.0 < behind(lead) <= 0.0
-
-
-def test_the_preview_of_a_late_inverse_begins_in_time() -> None:
-    """The error of a slow scan was half as large again where the first guess came late."""
-    model = known_of(PrandtlIshlinskii(3.0, (1.0, 1.5, 1.0, 0.5), 0.15, 0.3, 22.0), 0.0)
-    assert error(model, "inverse", 0.2, "none") <= 0.036
 
 
 @pytest.mark.slow  # an export, and kernels of its own

@@ -98,6 +98,18 @@ def test_no_simpler_device_of_the_search_errs_less_than_the_answer() -> None:
     assert search.least_of_simpler(bad).judged.mse <= few.judged.mse * (1 + 1e-6)
 
 
+def test_a_present_device_is_not_lost_to_one_that_only_fits_well(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The best fit may err most on trials left out; what was there before is then still the best of all."""
+    search, made = searched("line", "backlash", "pi, 6 plays")
+    judged = made | {"pi, 6 plays": worse(made["pi, 6 plays"], 1e6)}
+    fits = {label: choice.hypothesis for label, choice in made.items()}
+    fits["pi, 6 plays"] = replace(fits["pi, 6 plays"], mse=1e-3 * fits["pi, 6 plays"].mse)
+    monkeypatch.setattr(search, "_fitted", lambda core, forms, present: fits[core.label])
+    monkeypatch.setattr(search, "_choice", lambda core, forms, fit: judged[core.label])
+    alternatives = [(choice.core, choice.forms) for choice in made.values()]
+    assert search._simplest(alternatives, made["backlash"]).core.label == "backlash"
+
+
 def test_a_larger_device_or_a_part_that_was_refused_does_not_come_back(monkeypatch: pytest.MonkeyPatch) -> None:
     search, made = searched("backlash", "pi, 3 plays")
     backlash, plays = made["backlash"], made["pi, 3 plays"]
