@@ -87,7 +87,7 @@ def test_a_point_that_is_not_finite_is_left() -> None:
     root = Counted(
         lambda q: np.array([q[0] - 1.0 if q[0] < 2.0 else np.nan]), lambda q: np.array([[0.2 if q[0] < 0.5 else 1.0]])
     )
-    end = minimise_in_boxes(root, np.zeros(1), (np.array([-9.0]), np.array([9.0])), np.full(1, 9.0), 50, 1e-12)
+    end = minimise_in_boxes(root, np.zeros(1), (np.array([-9.0]), np.array([9.0])), np.full(1, 40.0), 50, 1e-12)
     assert any(q[0] > 2.0 for q in root.points)
     assert end[0] == pytest.approx(1.0, abs=1e-6)
 
