@@ -38,7 +38,7 @@ HYSTMPC_LOCAL void hystmpc_estimate_advance(const hystmpc_sensing *s, const hyst
 /* How far the disturbance is believed, from 0 to 1: where the model is close, with the probability c, only as far as the
  * bank's mean m has foretold the offsets z of the last seconds,
  *
- *     1 - c (1 - s),   s = sum_j m_j z_j / (sum_j m_j^2 + doubt * sensor^2),   0 <= s <= 1
+ *     1 - (1 - (1 - c)^2) (1 - s),   s = sum_j m_j z_j / (sum_j m_j^2 + doubt * sensor^2),   0 <= s <= 1
  *
  * s is the share of least error; a correction that only follows noise vanishes. A device that has changed is followed at
  * once. Frames are few: they are believed as far as s, whether the model is close or not. */

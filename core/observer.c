@@ -184,7 +184,8 @@ HYSTMPC_LOCAL real hystmpc_believed(const hystmpc_sensing *s, const hystmpc_esti
     const real noise = hystmpc_noise_sensor(s->noise, e->bank, s->logs);
     const real share = clamp(e->known->earned[0] / (e->known->earned[1] + s->doubt * noise), R(0.0), R(1.0));
     if (s->sensor == HYSTMPC_FRAMES) return share; /* few as they are, one alone says nothing */
-    return R(1.0) - hystmpc_noise_close(s->noise, e->bank) * (R(1.0) - share);
+    const real far = R(1.0) - hystmpc_noise_close(s->noise, e->bank);
+    return R(1.0) - (R(1.0) - far * far) * (R(1.0) - share);
 }
 
 /* The bank with an offset used, and the disturbance as far as it is believed, never away from the offset. */

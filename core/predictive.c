@@ -149,9 +149,11 @@ static void improve_plan(const planning *q, hystmpc_head *head, const hystmpc_gi
 }
 
 /* Moves cost little where the model is as close to the device as its file says: then they are those of the reference.
- * Where it is not, the estimate of its error makes moves of its own, and a lag that the model lacks an oscillation. */
+ * Where it is not, the estimate of its error makes moves of its own, and a lag that the model lacks an oscillation. In
+ * between the logarithms are weighted: of two weights a hundredfold apart a mean is the greater one. */
 static real rate_weight(const hystmpc_problem *p, const hystmpc_given *g) {
-    return p->law->rate_weight + g->close * (p->law->close_rate_weight - p->law->rate_weight);
+    const real far = p->law->rate_weight, close = p->law->close_rate_weight;
+    return g->close < R(1.0) ? far * MATH(pow)(close / far, g->close) : close;
 }
 
 /* The wanted command and the plan behind it; the caller restores the head where there is none. */

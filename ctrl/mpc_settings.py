@@ -22,11 +22,12 @@ class WeightsSettings(Settings):
 
     Attributes:
         tracking: squared angle error [1/deg^2].
-        terminal: factor on `tracking` at the last sample.
+        terminal: factor on `tracking` at the last sample; without a sensor 1 where left out.
         rate: squared command change per sample [1/mm^2 or 1/bar^2].
         rate_close: the same where the model is as close to the device as its file says, and without a sensor; `rate`
-            where that alone is given. In between they are weighted by the probability of that, see `NoiseBank`.
-        effort: squared distance from the inverse plan [1/mm^2 or 1/bar^2].
+            where that alone is given. In between their logarithms are weighted by the probability of that, see
+            `NoiseBank`.
+        effort: squared distance from the inverse plan [1/mm^2 or 1/bar^2]; without a sensor 0 where left out.
         soft_limit: squared excess over the soft angle limits [1/deg^2].
         angle_lower_deg, angle_upper_deg: soft limits of the angle [deg]; null for none.
     """
@@ -34,7 +35,7 @@ class WeightsSettings(Settings):
     tracking: Positive = 1.0
     terminal: NotNegative = 2.0
     rate: Positive = 3.0
-    rate_close: Positive = 0.1
+    rate_close: Positive = 0.01
     effort: NotNegative = 0.01
     soft_limit: NotNegative = 100.0
     angle_lower_deg: float | None = None
@@ -79,7 +80,7 @@ class HoldSettings(Settings):
 
     Attributes:
         tolerance_deg: distance from the reference that always counts as reached [deg]; null for 0.01, or 0.03 where the
-            model's file says that the sensor's readings have steps.
+            model's file says that the sensor's readings have steps; without a sensor 0.001 where left out.
         patience_s: time of constant reference for which one more standard deviation is allowed for [s].
         lead_s: preview that is used [s].
         settle_after_s: time of constant reference after which corrections are limited [s].
@@ -105,9 +106,17 @@ class AdaptationSettings(Settings):
     walk_share: NotNegative = 0.01
 
 
+# Without a sensor the model is all there is, and nothing makes a plan of its inverse's cost hunt.
+_OF_THE_INVERSE = {"weights": {"terminal": 1.0, "effort": 0.0}, "hold": {"tolerance_deg": 0.001}}
 _LEAST_SAMPLES, _MOST_SAMPLES, _PREVIEW_S = 20, 60, 0.24  # of a preview whose length is not given
 _ALIKE = 3  # blocks of one length
 _SIGMA_SHARE = 0.1  # of the greatest move of a sample: larger perturbations would cross kinks of the model
+
+
+def _completed(block: Any, defaults: dict[str, float]) -> Any:
+    """The block of settings with other defaults; one that is none is refused later."""
+    given = block.model_dump(exclude_unset=True) if isinstance(block, Settings) else {} if block is None else block
+    return {**defaults, **given} if isinstance(given, dict) else given
 
 
 class PredictiveSettings(LawSettings):
@@ -135,7 +144,7 @@ class PredictiveSettings(LawSettings):
     @model_validator(mode="before")
     @classmethod
     def _defaults_of_the_sensor(cls, data: Any) -> Any:
-        """Fill in defaults without a continuous sensor: no supervisor; without any, no learning."""
+        """Fill in defaults without a continuous sensor: no supervisor; without any, no learning, the inverse's cost."""
         if not isinstance(data, dict):
             return data
         estimator = data.get("estimator")
@@ -144,6 +153,7 @@ class PredictiveSettings(LawSettings):
             data = {**data, "supervisor": None}  # a `tip.yaml` has one for its continuous sensor
             if sensor == "none":
                 data = {"adaptation": None, **data}
+                data |= {name: _completed(data.get(name), values) for name, values in _OF_THE_INVERSE.items()}
         return {"supervisor": None, **data} if data.get("adaptation", {}) is None else data
 
     @model_validator(mode="after")

@@ -234,9 +234,14 @@ def _gains(gains: PidSettings, dt: float) -> Struct:
 
 
 def iterations_of(settings: PredictiveSettings, inverse: Inverse) -> int:
-    """Return the planner's iterations per step: at least two for a first-guess inverse, see `steady_inverse`."""
+    """Return the planner's iterations per step.
+
+    They are at least the two of the inverse over a preview for a first-guess inverse, see `steady_inverse`, and where
+    there is no sensor to make up for an unfinished plan.
+    """
     first_guess = inverted_after_a_hold(inverse.inverse if isinstance(inverse, LearnedInverse) else inverse)
-    return max(settings.iterations, _REFINED) if first_guess else settings.iterations
+    alone = settings.estimator.sensor == "none" and isinstance(settings, LinearisedMpcSettings)
+    return max(settings.iterations, _REFINED) if first_guess or alone else settings.iterations
 
 
 def _planner(settings: PredictiveSettings, device: _Modelled, horizon: int, solve: Callable[..., int] | None) -> Struct:

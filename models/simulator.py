@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -20,7 +19,16 @@ from hystmpc.trials.types import Vec
 
 from .chain import Chain, chain_from, chain_spec
 from .contract.export import ExportBundle, export_onnx
-from .contract.metadata import ModelMetadata, NoiseModel, Range, Rate, SampleTime, Start, rest_within
+from .contract.metadata import (
+    ModelMetadata,
+    NoiseModel,
+    Range,
+    Rate,
+    SampleTime,
+    Start,
+    rest_within,
+    slow_error,
+)
 from .model import LoadedModel, StepFunction
 from .motions import probe_commands
 from .program import dense
@@ -78,16 +86,13 @@ class Identification(Settings):
 
     @property
     def slow_error(self) -> float | None:
-        """Root mean square of the correlated part of the residuals, about the mean of each trial; None without trials.
+        """Error of free runs on other motions, `NoiseModel.model_sigma_deg` from the table alone; None without trials.
 
-        sigma^2 = sum_i n_i rho_i (rmse_i^2 - bias_i^2) / sum_i n_i with the correlation rho of neighbours, zero or
-        more: white noise of the sensor has none. It is `NoiseModel.model_sigma_deg`, from the table alone.
+        c_i = rho_i (rmse_i^2 - bias_i^2) + bias_i^2 with the correlation rho of neighbours, see `slow_error`.
         """
-        count = sum(row.samples for row in self.residuals)
-        if not count:
-            return None
-        parts = (row.samples * max(row.lag_one, 0.0) * (row.rmse_deg**2 - row.bias_deg**2) for row in self.residuals)
-        return math.sqrt(max(sum(parts), 0.0) / count)
+        rows = self.residuals
+        squares = [row.lag_one * (row.rmse_deg**2 - row.bias_deg**2) + row.bias_deg**2 for row in rows]
+        return slow_error(squares, [row.samples for row in rows]) if rows else None
 
 
 class SimulatorFile(Settings):

@@ -25,6 +25,7 @@ _ASKED = 1.5  # held-out error over model-form error, from which the widths of c
 _GAINED = 0.5  # of the error above the model-form error, by which it has to fall with them
 _MOST_NOISE = 0.9  # of the model-form error
 _LEAST_MOVE = 0.01  # of a number: less is irrelevant for a device
+_WIDER = 1.7  # widest play of a second start, three quarters of the range: no fit brings one across half of it
 _LEAST_LEFT = 0.5  # of the height of a loop
 _MOST_GROWN = 4.0  # height of a loop over the given one: more is no friction of the same device
 
@@ -109,17 +110,16 @@ def reidentified_share(
         forms = core_forms(prepared.decades.trials(prepared.checked.trials), Scale.of(validation.runs))
     except FitError:
         return 0.0
-    curved = (chain for form in forms for chain in form.starts if _of_pieces(chain))
-    if (chain := next(curved, None)) is None:
+    cores = [chain.core for form in forms for chain in form.starts]
+    curved = next((core for core in cores if isinstance(core, CurvedPlays) and core.pieces > 1), None)
+    if curved is None:  # plays of one piece are no more than a given core can be
         return 0.0
-    anew = replace(validation, baseline=FreeCoreBaseline(chain, prepared.baseline.command, free_widths=True))
-    fall = retuned.mse - anew.judge(anew.retuned()).mse
+    wide = replace(curved, radii=tuple(_WIDER * radius for radius in curved.radii))
+    starts = [FreeCoreBaseline(Chain(c), prepared.baseline.command, free_widths=True) for c in (curved, wide)]
+    anew = [replace(validation, baseline=start) for start in starts]
+    best = min(((one, one.retuned()) for one in anew), key=lambda pair: pair[1].mse)
+    fall = retuned.mse - best[0].judge(best[1]).mse
     return float(np.clip(fall / max(retuned.mse - floor_mse, 1e-12), 0.0, 1.0))
-
-
-def _of_pieces(chain: Chain) -> bool:
-    """Whether the core is a sum of plays of several pieces: of one each it is no more than a given core can be."""
-    return isinstance(chain.core, CurvedPlays) and chain.core.pieces > 1
 
 
 def moved_numbers(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
@@ -118,6 +118,25 @@ def rest_within(rest_command: float | None, lower: float, upper: float) -> float
     return lower if rest_command is None else min(max(rest_command, lower), upper)
 
 
+def slow_error(squares: Sequence[float], samples: Sequence[int]) -> float:
+    """Error of free runs on motions that are not among the trials [deg].
+
+        sigma^2 = max(m, 0) + s,  m = sum_i w_i c_i,  s^2 = n / (n - 1) sum_i w_i^2 (c_i - m)^2
+
+    c_i is the mean product of neighbouring residuals of trial i of n, and w_i its share of the samples. White noise of
+    the sensor has no such product. The mean of a trial is an error like any other: without a sensor nothing takes it
+    off. A few motions say little of others, so that one standard error s of m by its scatter is added.
+
+    Args:
+        squares: c_i of each trial [deg^2].
+        samples: of each trial.
+    """
+    products, weights = np.array(squares), np.array(samples) / sum(samples)
+    mean = float(weights @ products)
+    scatter = float(np.sum((weights * (products - mean)) ** 2)) * len(squares) / max(len(squares) - 1, 1)
+    return math.sqrt(max(mean, 0.0) + math.sqrt(scatter))
+
+
 class NoiseModel(Settings):
     """Unexplained part of the measurement for an estimator: white noise of the sensor on a random walk.
 
@@ -127,8 +146,8 @@ class NoiseModel(Settings):
         sensor_sigma_deg: standard deviation of v [deg].
         drift_sigma_deg_per_sqrt_s: of the change of d over one second [deg/sqrt(s)].
         motion_sigma_deg_per_sqrt_unit: of its change over one unit of command travel [deg/sqrt(command unit)].
-        model_sigma_deg: root mean square of the slow part of y - model about its mean over a free run [deg]: the error
-            of the model without a sensor. None in older files.
+        model_sigma_deg: error of the model without a sensor, on motions that it has not seen [deg], see `slow_error`.
+            None in older files.
         sensor_resolution_deg: step of the sensor's readings where noise does not average over it [deg]; its error is
             part of `sensor_sigma_deg`. Zero of a continuous sensor, and in older files.
     """
@@ -230,7 +249,7 @@ class ModelMetadata(Settings):
 
     @property
     def model_sigma_deg(self) -> float:
-        """Root mean square error of free runs about their mean [deg], see `NoiseModel`; not-a-number where unknown."""
+        """Error of free runs on other motions [deg], see `NoiseModel`; not-a-number where unknown."""
         known = None if self.noise is None else self.noise.model_sigma_deg
         said = self.training.get("model_sigma_deg", math.nan) if known is None else known
         return float(said) if isinstance(said, float | int) else math.nan

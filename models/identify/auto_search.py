@@ -20,7 +20,7 @@ from ..operators.static_curves import Line
 from ..start import search_box
 from .baseline import FreeCoreBaseline
 from .chain_fit import no_result
-from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, fit_problem, gain
+from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, fit_problem, gain, sureness
 from .least_squares import side_by_side
 from .parts import CoreForm, Form, core_forms, dead_time, device_parts, plain_of, split_delay, straight, whole_delay
 from .problem import Problem, TrialTerms
@@ -54,12 +54,12 @@ _CLEAR_SHARE = 0.0125
 _NEAR = 1.15
 _ROUNDS = 3  # greatest number of passes over all parts
 _EVALUATIONS = 12  # free runs of one fit
+_FOLDS = 6
 
 
 def worth(before: Blocks, after: Blocks) -> bool:
     """Whether held-out errors fall enough for a part to be added."""
-    fall, error = gain(before, after)
-    return _exceeds(fall, STANDARD_ERRORS * error, before)
+    return _exceeds(before, after, STANDARD_ERRORS, gain(before, after)[1])
 
 
 def recurs(before: Blocks, after: Blocks) -> bool:
@@ -68,15 +68,19 @@ def recurs(before: Blocks, after: Blocks) -> bool:
     A drive that is seen in one trial is there in all. The form of a core has no such meaning: what serves one trial
     alone serves no other motion.
     """
-    fall, error = gain(before, after)
     each = np.bincount(before.run, before.energy - after.energy)
     scatter = math.sqrt(each.size * float(np.var(each, ddof=1))) if each.size > 1 else 0.0
-    return _exceeds(fall, max(error, scatter / float(before.samples.sum())), before)
+    return _exceeds(before, after, 1.0, max(gain(before, after)[1], scatter / float(before.samples.sum())))
 
 
-def _exceeds(fall: float, error: float, before: Blocks) -> bool:
-    sure = min(error, _CLEAR_SHARE * before.energy.size * before.mse)
-    return fall > max(sure, _LEAST_SHARE * before.mse)
+def _exceeds(before: Blocks, after: Blocks, errors: float, error: float) -> bool:
+    """Whether the fall is a share of the error, and clear: by its standard error, by roots of blocks, or by its size.
+
+    Squares of few blocks scatter as much as they fall; see `sureness` for roots.
+    """
+    fall, sure = gain(before, after)[0], errors * error
+    clear = fall > min(sure, _CLEAR_SHARE * before.energy.size * before.mse) or sureness(before, after) > 2.0 * errors
+    return clear and fall > _LEAST_SHARE * before.mse
 
 
 def stays(before: Blocks, after: Blocks) -> bool:
@@ -251,7 +255,7 @@ class AutoSearch:
             and (not other.core.curve or other.core.label == choice.core.label)
         ]
         best = min([choice, *simpler], key=lambda other: other.judged.mse)
-        return choice if best is choice else min(choice, self._polished(best), key=lambda other: other.judged.mse)
+        return choice if best is choice else min(best, self._polished(best), key=lambda other: other.judged.mse)
 
     def _alternatives(self, name: str, present: Choice) -> list[tuple[CoreForm, dict[str, Form]]]:
         if name == _CORE:
@@ -392,7 +396,8 @@ class AutoSearch:
             fits.append(fit)
             self._tell(_points(fit[0], fit[1], present))
         least = min(fit.mse for *_, fit in fits)
-        near = [fit for fit in fits if fit[2].mse < _NEAR * least]
+        same = _labels(present.core, present.forms)
+        near = [fit for fit in fits if fit[2].mse < _NEAR * least or _labels(*fit[:2]) == same]
         choices = list(side_by_side(lambda fit: self._choice(*fit), near))
         best = min(choices, key=lambda choice: choice.judged.mse)
         judged = {id(choice.hypothesis): choice for choice in choices}
@@ -424,7 +429,7 @@ class AutoSearch:
         chains = core.starts
         if isinstance(core.starts[0].core, Line):
             chains = (self._line_behind([c for c in effects if c not in core.curve], values[0]),)
-            validation = replace(validation, baseline=FreeCoreBaseline(chains[0], self._command))
+            validation = replace(validation, baseline=FreeCoreBaseline(chains[0], self._command, anew=True))
         cores = self._core_starts.get(core.label, [np.array(chain.core.values) for chain in chains])
         best = min((validation.with_causes(effects, terms, z, values[:1]) for z in cores), key=lambda fit: fit.mse)
         made = fit_problem(best.problem, self.runs, best.q, (_FROM_AFAR - 1) * _EVALUATIONS, 1e-3)
@@ -466,8 +471,8 @@ class AutoSearch:
         return Choice(core, forms, self._validation(core).judge(fit))
 
     def _validation(self, core: CoreForm) -> CrossValidation:
-        baseline = FreeCoreBaseline(core.starts[0], self._command)
-        return CrossValidation(baseline, self.runs, _EVALUATIONS, in_time=True)
+        baseline = FreeCoreBaseline(core.starts[0], self._command, anew=True)
+        return CrossValidation(baseline, self.runs, _EVALUATIONS, in_time=True, most_folds=_FOLDS)
 
 
 def _near(candidate: Candidate, values: tuple[float, ...], dt_s: float, whole_s: float) -> Form:

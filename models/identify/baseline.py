@@ -16,12 +16,16 @@ from ..contract.metadata import Range
 from ..operators.friction import MaxwellSlip
 from ..operators.hysteresis import Backlash, CurvedPlays
 from ..operators.operator import Operator
+from ..operators.prandtl_ishlinskii import PrandtlIshlinskii
+from ..operators.static_curves import Line
 from .free_run import StagedChain
 
 # Parameters of cores that are effects by another name: retuning leaves them at their nominal values.
 _EFFECTS_BY_ANOTHER_NAME = {"beta": "rate_dependence"}
+_LINEAR_IN_WEIGHTS = (Line, PrandtlIshlinskii, CurvedPlays)
 _LOOP_SAMPLES = 200
-_ROUGHNESS = 0.03  # share of the range over which a difference of slopes counts: 25 samples of 0.3 % of the angle
+_ROUGHNESS = 0.05  # share of the range over which a difference of slopes counts: 70 samples of 0.3 % of the angle
+_LEVEL = 0.03  # the same for the slope itself
 _SLOW_S = 1.0  # sample time of that loop: slow enough for rate-dependent widths to vanish
 
 
@@ -34,6 +38,7 @@ class Baseline(ABC):
         effects: positions in z that retuning keeps fixed, because they are effects: {effect: {name: position}}.
         held: positions in z of values that are chosen and never fitted.
         width: position in z of the width of the loop, -1 for none.
+        linear: of which unknowns the angle is a linear function while the others stay (Z,).
         roughness: rows (R, Z) [deg per unit of z] whose products with z count as errors of single samples: they
             regularise parameters with few samples (Eilers, Marx, Flexible smoothing with B-splines and penalties,
             Statistical Science 11, 1996, with differences of first order).
@@ -49,6 +54,7 @@ class Baseline(ABC):
     ) -> None:
         self.chain, self.command = chain, command
         self.nominal, (self.lower, self.upper), self.scale = np.array(nominal), ends, np.array(scale)
+        self.linear = np.zeros(self.nominal.size, dtype=bool)
 
     @abstractmethod
     def core_values(self, z: Vec) -> tuple[Vec, Vec]:
@@ -129,9 +135,10 @@ class FreeCoreBaseline(Baseline):
     Args:
         command: range of the command [cmd].
         free_widths: whether the half-widths of curved plays are free, too.
+        anew: whether curved plays that the trials do not show are taken for absent; else they stay as they are given.
     """
 
-    def __init__(self, chain: Chain, command: Range, free_widths: bool = False) -> None:
+    def __init__(self, chain: Chain, command: Range, free_widths: bool = False, anew: bool = False) -> None:
         core, values, parameters = chain.core, np.array(chain.core.values), chain.core.parameters
         span = command.upper - command.lower
         slopes = [abs(v) for v, p in zip(values, parameters, strict=True) if p.unit == "deg/cmd"]
@@ -144,6 +151,8 @@ class FreeCoreBaseline(Baseline):
         ]
         ends = np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
         super().__init__(chain, command, values.tolist(), ends, scale)
+        if isinstance(core, _LINEAR_IN_WEIGHTS):
+            self.linear = np.array([p.unit in ("deg/cmd", "deg") for p in parameters])
         names = [p.name for p in parameters]
         self.effects = {
             _EFFECTS_BY_ANOTHER_NAME[n]: {n: k} for k, n in enumerate(names) if n in _EFFECTS_BY_ANOTHER_NAME
@@ -152,6 +161,9 @@ class FreeCoreBaseline(Baseline):
         if isinstance(core, CurvedPlays):
             self.held = tuple(range(len(slopes) + 1 + (core.plays if free_widths else 0), values.size))
             self.roughness = _ROUGHNESS * span * _differences(core, values.size)
+            if anew:
+                of_plays = np.eye(values.size)[core.pieces + 1 : len(slopes)]
+                self.roughness = np.vstack([self.roughness, _LEVEL * span * of_plays])
 
     def core_values(self, z: Vec) -> tuple[Vec, Vec]:
         return np.clip(z, self.lower, self.upper), np.eye(z.size)

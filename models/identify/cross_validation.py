@@ -15,13 +15,13 @@ from hystmpc.trials.types import Mat, Vec
 from ..chain import Chain
 from ..effects.effect import Candidate
 from .baseline import Baseline
-from .least_squares import minimise, triangle_of
+from .least_squares import minimise_in_boxes
 from .problem import Problem, TrialTerms
 from .runs import AS_IT_IS, Blocks, Run, RunsTogether, blocks_of
 
-LARGEST_FOLDS = 3
+_PARTS = 3  # of the time of a single run
+_TO_CONVERGENCE = (60, 1e-6)  # greatest number of evaluations, and tolerance
 _LEAST_ERROR = 1e-300
-_EDGE = 1e-9
 _COMMON = 1.0  # weight, in samples, of the mean of the trials' terms
 _HELD = 1e-10  # share of the greatest curvature: keeps undetermined unknowns at their start
 
@@ -94,50 +94,39 @@ def fit_problem(
         tolerance: relative change of the error at which the fit ends.
         white: filter of the errors whose squares are summed (`whitening`).
     """
-    margin = _EDGE * (problem.upper - problem.lower)
-    inside = np.clip(start, problem.lower + margin, problem.upper - margin)
-    search = _CondensedSearch(problem, runs, inside, white)
-    q = minimise(
-        search.evaluate,
-        inside,
-        (problem.lower, problem.upper),
-        x_scale=1.0,
-        ftol=tolerance,
-        xtol=1e-6,
-        gtol=1e-12,
-        max_nfev=evaluations,
-    )
+    search = _ErrorProducts(problem, runs, start, white)
+    ends, units = (problem.lower, problem.upper), problem.units(start)
+    q = minimise_in_boxes(search.products, start, ends, units, evaluations, tolerance)
     return Hypothesis(problem, q, search.mse(q))
 
 
-class _CondensedSearch:
-    """Errors and derivatives of all runs as the triangle R of a QR factorisation of (J, r)."""
+class _ErrorProducts:
+    """Errors and derivatives of all runs, and the pull to the start."""
 
     def __init__(self, problem: Problem, runs: Sequence[Run], start: Vec, white: Vec) -> None:
         self._problem, self._start, self._white, self._groups = problem, start, white, RunsTogether.groups(runs)
         self._samples = sum(int(run.counts.sum()) for run in runs)
-        self._at: Vec | None = None
-        self._energy = 0.0
+        self._energies: dict[bytes, float] = {}
 
     def mse(self, q: Vec) -> float:
         """Mean square of the errors that count [deg^2]."""
-        if self._at is None or not np.array_equal(q, self._at):
-            self.evaluate(q)
-        return self._energy / self._samples
+        if q.tobytes() not in self._energies:
+            self.products(q)
+        return self._energies[q.tobytes()] / self._samples
 
-    def evaluate(self, q: Vec) -> tuple[Vec, Mat]:
+    def products(self, q: Vec) -> Mat:
+        """Products of derivatives and errors (Q + 1, Q + 1)."""
         products = [self._problem.products(q, group, self._white) for group in self._groups]
         square, common = (
             np.sum([normal for normal, _ in products], axis=0),
             [row for _, rows in products for row in rows],
         )
-        self._at, self._energy = q.copy(), float(square[-1, -1])
+        self._energies[q.tobytes()] = float(square[-1, -1])
         square = square + self._pull(square, q)
         if common:
             mean = np.mean(common, axis=0)
             square += _COMMON * self._samples * mean.T @ mean
-        triangle = triangle_of(square)
-        return triangle[:, -1], triangle[:, :-1]
+        return square
 
     def _pull(self, square: Vec, q: Vec) -> Vec:
         """Products of derivatives and errors of the distance from the start and of roughness."""
@@ -199,17 +188,20 @@ class CrossValidation:
     Attributes:
         evaluations: of a fit from one start.
         in_time: whether a single run is held out in thirds of its time; else its training error counts.
+        most_folds: greatest number of folds. Of few logs each is often the only one of its kind: with as many folds as
+            logs, a fit misses no other one.
     """
 
     baseline: Baseline
     runs: tuple[Run, ...]
     evaluations: int = 12
     in_time: bool = False
+    most_folds: int = 3
 
     @cached_property
     def folds(self) -> tuple[tuple[int, ...], ...]:
         """Indices of the runs held out together; neighbours in the recording order are in different folds."""
-        count = min(LARGEST_FOLDS, len(self.runs))
+        count = min(self.most_folds, len(self.runs))
         return tuple(tuple(range(k, len(self.runs), count)) for k in range(count))
 
     def retuned(self) -> Hypothesis:
@@ -254,7 +246,7 @@ class CrossValidation:
 
     def polished(self, hypothesis: Hypothesis) -> Hypothesis:
         """Hypothesis fitted to convergence."""
-        return fit_problem(hypothesis.problem, self.runs, hypothesis.q, 60, 1e-6)
+        return fit_problem(hypothesis.problem, self.runs, hypothesis.q, *_TO_CONVERGENCE)
 
     def fitted_errors(self, hypothesis: Hypothesis) -> Blocks:
         """Training errors, in the blocks of `judge`."""
@@ -269,7 +261,7 @@ class CrossValidation:
                 for fold in self.folds
             )
         run, splits = next(iter(self.runs)), []
-        for part in np.array_split(np.flatnonzero(run.counts), LARGEST_FOLDS):
+        for part in np.array_split(np.flatnonzero(run.counts), _PARTS):
             third = np.zeros(run.counts.size, dtype=bool)
             third[part] = True
             splits.append(((replace(run, counts=run.counts & ~third),), {0: replace(run, counts=third)}))
@@ -289,10 +281,15 @@ class CrossValidation:
         return HeldOutErrors(blocks.energy, blocks.samples, blocks.run, hypothesis, errors, tuple(fold_q))
 
     def left_out(self, judged: HeldOutErrors) -> tuple[Vec, ...]:
-        """Held-out measurement minus free run (C,) [deg] of every run, terms of single trials included."""
+        """Held-out measurement minus free run (C,) [deg] of every run, terms of single trials included.
+
+        Fits to the other trials go on to convergence here. One that ends early, as in a selection, still knows the
+        trials that are held out by its start, the fit to all trials.
+        """
         problem = judged.hypothesis.problem
         parts: list[list[Vec]] = [[] for _ in self.runs]
-        for (_, held_out), q in zip(self._splits, judged.fold_q, strict=True):
+        for (rest, held_out), fold_q in zip(self._splits, judged.fold_q, strict=True):
+            q = fit_problem(problem, rest, fold_q, *_TO_CONVERGENCE).q if rest else fold_q
             for k, run in held_out.items():
                 parts[k].append((run.angle - problem.angles(q, run))[run.counts])
         return tuple(map(np.concatenate, parts))

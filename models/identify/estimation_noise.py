@@ -15,7 +15,7 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from ..contract.export import ExportBundle
-from ..contract.metadata import NoiseModel
+from ..contract.metadata import NoiseModel, slow_error
 from ..decades import Decades
 from ..evaluate import started
 from ..model import LoadedModel
@@ -42,8 +42,7 @@ def estimation_noise(trials: Sequence[Trial], residuals: Sequence[Vec], fitted: 
     Readings of a step q are off by q^2 / 12 in mean square (Widrow, Trans. AIEE 79, 1961), which bounds the sensor's
     variance from below: noise below q does not make that error white.
 
-    Slow errors of the model are the correlated part, since the sensor's noise is white. About the mean of each trial,
-    which a declared rest removes, model_sigma^2 = mean (r_k - r) (r_{k+1} - r), enlarged likewise.
+    The error of the model without a sensor is that of `slow_error`, enlarged likewise.
 
     Args:
         trials: uniformly sampled at one rate.
@@ -74,15 +73,21 @@ def _noise(trials: Sequence[Trial], residuals: Sequence[Vec], fitted: int) -> No
     sensor = math.sqrt(max(walk_likelihood(joint, travel, drift, motion)[1], _LEAST_DEG**2))
     factor = _optimism(residuals, fitted)
     more = factor * sensor
-    around = [part - part.mean() for part in residuals]
-    slow = np.concatenate([part[1:] * part[:-1] for part in around])
     return NoiseModel(
         sensor_sigma_deg=max(sensor, step / math.sqrt(12.0)),
         drift_sigma_deg_per_sqrt_s=more * math.sqrt(drift / trials[0].dt),
         motion_sigma_deg_per_sqrt_unit=more * math.sqrt(motion),
-        model_sigma_deg=factor * math.sqrt(max(float(np.mean(slow)), 0.0)),
+        model_sigma_deg=factor * _slow_error(residuals),
         sensor_resolution_deg=step if step > _UNDITHERED * sensor else 0.0,
     )
+
+
+def _slow_error(residuals: Sequence[Vec]) -> float:
+    """Error of free runs on other motions [deg], see `slow_error`; a single trial counts as its thirds."""
+    parts = residuals if len(residuals) > 1 else [part for part in np.array_split(residuals[0], 3) if part.size > 1]
+    parts = parts or residuals
+    squares = [float(np.mean(part[1:] * part[:-1])) for part in parts]
+    return slow_error(squares, [part.size - 1 for part in parts])
 
 
 @final

@@ -1,4 +1,4 @@
-"""Bounded least squares, the solver of all fits."""
+"""Bounded least squares: SciPy's for smooth errors, and steps in boxes for many bounds, linear unknowns and kinks."""
 
 from __future__ import annotations
 
@@ -11,15 +11,23 @@ import numpy as np
 from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
+from hystmpc.core.library import engine
 from hystmpc.trials.types import Mat, Vec
 
 P = ParamSpec("P")
 R = TypeVar("R")
 T = TypeVar("T")
 
-_JITTER = 1e-13
 _DIVERGED = 1e9  # in working units
 _MANY = 10_000  # samples
+_JITTER = 1e-13  # share of a correlation of unknowns: makes every program convex
+_LEAST_NORM = 1e-150
+_MARGIN = 1e-9  # share of the distance of both bounds: derivatives at a bound are one-sided
+_FIRST_REACH = 0.19  # not round: at whole samples of a delay the error has a kink
+_POOR, _GOOD, _SMALLER, _LARGER = 0.25, 0.75, 0.25, 2.0
+_AT_REACH = 0.95
+_LEAST_STEP = 1e-6  # in units: a search ends where a step below it is refused
+_CHANGES = 10  # of the active set, for each unknown
 _THREADS = 2
 
 
@@ -58,19 +66,76 @@ def minimise(evaluate: Callable[[Vec], tuple[Vec, Mat]], start: Vec, bounds: tup
     return np.asarray(solution.x, dtype=np.float64)
 
 
-def triangle_of(square: Vec) -> Vec:
-    """R with R^T R = square; a run that is not finite counts as a very large error without a direction."""
-    size = square.shape[0]
-    if not np.all(np.isfinite(square)):
-        return np.vstack([np.zeros((size - 1, size)), np.append(np.zeros(size - 1), _DIVERGED)[None]])
-    scale = np.sqrt(np.maximum(np.diag(square), 1e-300))
-    correlation = square / np.outer(scale, scale) + _JITTER * np.eye(size)
-    return np.asarray(np.linalg.cholesky(correlation).T * scale, dtype=np.float64)
-
-
 def condensed(residuals: Vec, jacobian: Mat) -> tuple[Vec, Mat]:
     """Residuals and Jacobian; for many samples the equivalent triangle of a QR factorisation."""
     if residuals.size < _MANY or not np.all(np.abs(jacobian) < _DIVERGED):
         return residuals, jacobian
     triangle = np.asarray(np.linalg.qr(np.column_stack([jacobian, residuals]), mode="r"))
     return triangle[:, -1], triangle[:, :-1]
+
+
+def minimise_in_boxes(
+    products: Callable[[Vec], Mat],
+    start: Vec,
+    bounds: tuple[Vec, Vec],
+    units: Vec,
+    evaluations: int,
+    tolerance: float,
+) -> Vec:
+    """Least squares within bounds by Gauss-Newton steps in a box that grows and shrinks.
+
+        d = argmin |J d + r|^2   s.t.   lower <= q + d <= upper,   |d_i| <= reach units_i
+
+    The engine's active-set method finds the exact optimum of every step: one step solves a linear problem, whatever
+    bounds it touches, and rounding errors stay rounding errors.
+
+    Args:
+        products: of the columns of (J, r) at unknowns q (Q + 1, Q + 1).
+        start: unknowns (Q,), brought inside the bounds.
+        bounds: lower and upper (Q,).
+        units: usual steps of the unknowns (Q,); infinite for those in which r is linear while the others stay.
+        evaluations: greatest number of calls of `products`.
+        tolerance: relative fall of the squared error at which the search ends.
+
+    Source: Conn, Gould, Toint, Trust-Region Methods (2000), algorithm 6.1.1 with the infinity norm, section 7.8.
+    """
+    wide = bounds[1] - bounds[0]
+    margin = np.where(np.isfinite(wide), _MARGIN * wide, 0.0)
+    lower, upper = bounds[0] + margin, bounds[1] - margin
+    q, reach = np.clip(start, lower, upper), _FIRST_REACH
+    square = products(q)
+    for _ in range(evaluations - 1):
+        if not np.all(np.isfinite(square)):
+            return q
+        step = _step(square, np.maximum(lower - q, -reach * units), np.minimum(upper - q, reach * units))
+        energy, both = float(square[-1, -1]), np.append(step, 1.0)
+        expected = energy - float(both @ square @ both)
+        if expected <= 0.1 * tolerance * energy:
+            return q
+        at = np.clip(q + step, lower, upper)
+        there = products(at)
+        fall = energy - float(there[-1, -1]) if np.all(np.isfinite(there)) else -np.inf
+        used = float(np.max(np.abs(step) / units))
+        if fall < _POOR * expected:
+            reach = _SMALLER * (used or reach)
+        elif fall > _GOOD * expected and used > _AT_REACH * reach:
+            reach *= _LARGER
+        if fall > 0.0:
+            q, square = at, there
+            if _POOR * expected < fall < tolerance * energy:
+                return q
+        elif used < _LEAST_STEP:
+            return q
+    return q
+
+
+def _step(square: Mat, low: Vec, high: Vec) -> Vec:
+    """Step (Q,) of least linearised error between low and high (Q,); none where the engine finds none."""
+    norms = np.sqrt(np.maximum(np.diag(square)[:-1], _LEAST_NORM))
+    correlation = square[:-1, :-1] / np.outer(norms, norms) + _JITTER * np.eye(norms.size)
+    rows, room = norms.size, np.empty(engine().qp_bytes(norms.size, norms.size, 0), dtype=np.uint8)
+    scaled, hard = np.zeros(rows), np.zeros(rows)
+    ends = low * norms, high * norms
+    program = correlation, square[:-1, -1] / norms, np.eye(rows), *ends, hard
+    answer = engine().quadratic_program(rows, rows, *program, _CHANGES * rows, room, scaled)
+    return np.clip(scaled / norms, low, high) if answer >= 0 else np.zeros(rows)

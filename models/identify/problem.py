@@ -176,6 +176,12 @@ class Problem:
         """Number of unknowns."""
         return self._z + len(self._freedoms)
 
+    def units(self, q: Vec) -> Vec:
+        """Usual steps (Q,) of the unknowns about q; infinite where the angle is linear in them."""
+        units = np.maximum(np.abs(q), 1.0)
+        units[: self._z][self.baseline.linear[self._active]] = np.inf
+        return units
+
     def start(self, z: Vec, effects: Sequence[Sequence[float]]) -> Vec:
         """Unknowns from baseline values z (Z,) and each effect's free parameters."""
         return self.scaled(np.array([*z[self._active], *(v for values in effects for v in values)], dtype=np.float64))

@@ -30,7 +30,7 @@ _GAINS = {
 }
 _WEIGHTS = {
     "weights.rate": DrawSettings(log_uniform=(0.05, 100.0)),
-    "weights.rate_close": DrawSettings(log_uniform=(0.02, 30.0)),
+    "weights.rate_close": DrawSettings(log_uniform=(0.002, 30.0)),
     "weights.terminal": DrawSettings(log_uniform=(0.1, 20.0)),
     "weights.effort": DrawSettings(log_uniform=(1e-4, 0.3)),
 }

@@ -23,6 +23,7 @@ from hystmpc.ctrl.learning.predictor import LearnedPredictor
 from hystmpc.ctrl.mpc_settings import AdaptationSettings, WeightsSettings
 from hystmpc.models.contract.metadata import NoiseModel
 from hystmpc.models.operators.dynamics import Delay, Servo
+from hystmpc.models.operators.dynamics import Lag as DriveLag
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.slow_changes import Creep
 from hystmpc.models.prediction.build import ControllerModel, controller_model
@@ -40,6 +41,7 @@ DRIVES: dict[str, tuple[Operator, ...]] = {
     "delay": (Delay.at_rate(0.08, DT),),
     "creep": (Creep((-0.1,), (3.0,)),),
     "servo": (SERVO,),
+    "lag": (DriveLag(0.2, (), 0),),
 }
 
 
@@ -92,6 +94,33 @@ def test_a_noisy_sensor_does_not_harm_where_the_model_is_right(drive: str, hz: f
     assert np.sqrt(np.mean(np.square(errors))) <= 1.05 * error(model, "linearised_mpc", hz, "none") + 0.01
 
 
+@pytest.mark.parametrize("hz", [0.2, 0.6])
+@pytest.mark.parametrize("drive", ["lag", "servo"])
+def test_behind_a_slow_drive_a_plan_is_as_good_as_the_inverse(drive: str, hz: float) -> None:
+    """Moves that cost ten times those of the inverse gave 2.4 times its error."""
+    model = known(drive)
+    assert error(model, "linearised_mpc", hz, "none") <= 1.1 * error(model, "inverse", hz, "none")
+
+
+@pytest.mark.parametrize("hz", [0.2, 0.6])
+@pytest.mark.parametrize("drive", ["lag", "servo"])
+def test_noise_costs_a_slow_drive_a_twentieth_of_it(drive: str, hz: float) -> None:
+    """The weight on moves follows the probability of a close model on a scale of logarithms."""
+    model = known(drive)
+    errors = [error(model, "linearised_mpc", hz, "continuous", 0.15, seed) for seed in range(3)]
+    assert np.sqrt(np.mean(np.square(errors))) <= 1.05 * error(model, "linearised_mpc", hz, "none") + 0.0075
+
+
+def test_without_a_sensor_the_cost_is_the_inverse_s_unless_one_is_given() -> None:
+    def blocks(**more: Any) -> Any:
+        return parse_controller({"kind": "linearised_mpc", "estimator": {"sensor": "none"}, **more}, "controller")
+
+    alone, given = blocks(), blocks(weights={"effort": 0.2}, hold={"tolerance_deg": 0.5})
+    assert (alone.weights.terminal, alone.weights.effort, alone.hold.tolerance_deg) == (1.0, 0.0, 0.001)
+    assert (given.weights.terminal, given.weights.effort, given.hold.tolerance_deg) == (1.0, 0.2, 0.5)
+    assert parse_controller({"kind": "linearised_mpc"}, "controller").weights == WeightsSettings()
+
+
 def closeness(offset: float, seconds: float) -> float:
     """Weight of the filters of a close model after a noisy scan of a device that is off its model by `offset` [deg]."""
     estimator = Watcher(Lag(), EstimatorSettings())
@@ -104,6 +133,15 @@ def test_a_model_is_known_to_be_close_or_not_after_a_few_seconds() -> None:
     """Its file says nothing, so that close is 0.1 deg: an exact model, and one whose gain is off by 2 deg/mm."""
     assert closeness(0.0, 10.0) > 0.8
     assert closeness(2.0, 2.0) < 0.05
+
+
+def test_what_only_follows_noise_is_not_believed() -> None:
+    """The disturbance of an exact model stays within a twentieth of the noise, that of the bank is a third of it."""
+    commands, off = 3.0 - 2.5 * np.cos(0.5 * np.pi * DT * np.arange(1000)), []
+    for seed in range(4):
+        found = run(Watcher(Lag(), EstimatorSettings()), commands, 0.15 * np.random.default_rng(seed).normal(size=1000))
+        off += [estimate.disturbance for estimate in found[500:]]
+    assert np.sqrt(np.mean(np.square(off))) <= 0.15 / 20
 
 
 @pytest.mark.parametrize("error_deg", [0.02, 0.1, 0.5])

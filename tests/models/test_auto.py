@@ -13,7 +13,7 @@ from hystmpc.models.effects.effect import Scale
 from hystmpc.models.identify.auto import AutoFit, identify_auto
 from hystmpc.models.identify.auto_search import AutoSearch, worth
 from hystmpc.models.identify.baseline import FreeCoreBaseline
-from hystmpc.models.identify.cross_validation import CrossValidation, gain
+from hystmpc.models.identify.cross_validation import CrossValidation, fit_problem, gain
 from hystmpc.models.identify.free_run import StagedChain
 from hystmpc.models.identify.parts import device_parts
 from hystmpc.models.identify.problem import NO_TERMS, TrialTerms
@@ -133,12 +133,17 @@ def test_steps_of_three_values_give_both_time_constants_of_a_valve() -> None:
 
 
 def test_noise_is_taken_from_trials_that_the_fit_did_not_see() -> None:
-    """Of each trial the free run of the fit without it; what is judged is the same where no trial has an offset."""
+    """Of each trial the free run of the fit without it, which has converged: it is not the fit of a selection."""
     trials = recorded()
-    validation = CrossValidation(FreeCoreBaseline(Chain(CORE), command_range(trials)), runs_of(trials))
+    validation = CrossValidation(FreeCoreBaseline(Chain(CORE), command_range(trials)), runs_of(trials), evaluations=2)
     judged = validation.judge(validation.retuned())
-    for left, error in zip(validation.left_out(judged), judged.errors, strict=True):
-        np.testing.assert_allclose(left, -error, atol=1e-9)
+    left, problem = validation.left_out(judged), judged.hypothesis.problem
+    for fold, early in zip(validation.folds, judged.fold_q, strict=True):
+        others = [run for k, run in enumerate(validation.runs) if k not in fold]
+        fit = fit_problem(problem, others, early, 60, 1e-6)
+        assert fit.mse <= float(np.mean(np.concatenate([problem.error(early, run)[0] for run in others]) ** 2))
+        for k in fold:
+            np.testing.assert_allclose(left[k], -fit.error(validation.runs[k]), atol=1e-9)
     assert len(set(map(tuple, judged.fold_q))) == len(validation.folds)
 
 

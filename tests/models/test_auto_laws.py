@@ -13,9 +13,11 @@ from hystmpc.models.identify.auto import identify_auto
 from hystmpc.models.identify.auto_search import AutoSearch, Choice
 from hystmpc.models.identify.free_run import StagedChain
 from hystmpc.models.identify.runs import ordered, runs_of
+from hystmpc.models.operators.dynamics import Delay
 from hystmpc.models.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from hystmpc.trials.trial import Trial
 
+from .test_auto import PAIR, ZEROED_DEG, trials_of
 from .zoo import DT
 
 CORE = PrandtlIshlinskii(4.0, (3.0, 2.0, 1.0), 0.2, 0.0, 22.0)
@@ -59,6 +61,18 @@ def test_the_order_of_the_files_changes_nothing() -> None:
     assert other.choice.judged.mse == pytest.approx(first.choice.judged.mse, rel=1e-9)
 
 
+@pytest.mark.slow
+def test_the_last_digits_of_the_logs_change_no_structure() -> None:
+    """Two short logs, of a delay and zeroed anew: many devices explain them nearly as well."""
+    trials = trials_of((Delay(0.09, 8),), PAIR, ZEROED_DEG)
+    nearly = [replace(trial, angle=trial.angle * (1.0 + 1e-13)) for trial in trials]
+    first, other = identify_auto(trials), identify_auto(nearly)
+    assert other.choice.hypothesis.label == first.choice.hypothesis.label
+    assert other.choice.core.label == first.choice.core.label
+    np.testing.assert_allclose(other.choice.hypothesis.q, first.choice.hypothesis.q, rtol=1e-6)
+    assert other.choice.judged.mse == pytest.approx(first.choice.judged.mse, rel=1e-6)
+
+
 def searched(*labels: str) -> tuple[AutoSearch, dict[str, Choice]]:
     """Search in which some cores were tried alone, and their devices by label."""
     trials = ordered(logs())
@@ -82,6 +96,18 @@ def test_no_simpler_device_of_the_search_errs_less_than_the_answer() -> None:
     assert few.judged.mse < bad.judged.mse
     assert search.least_of_simpler(bad).core.label == "pi, 3 plays"
     assert search.least_of_simpler(bad).judged.mse <= few.judged.mse * (1 + 1e-6)
+
+
+def test_a_present_device_is_not_lost_to_one_that_only_fits_well(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The best fit may err most on trials left out; what was there before is then still the best of all."""
+    search, made = searched("line", "backlash", "pi, 6 plays")
+    judged = made | {"pi, 6 plays": worse(made["pi, 6 plays"], 1e6)}
+    fits = {label: choice.hypothesis for label, choice in made.items()}
+    fits["pi, 6 plays"] = replace(fits["pi, 6 plays"], mse=1e-3 * fits["pi, 6 plays"].mse)
+    monkeypatch.setattr(search, "_fitted", lambda core, forms, present: fits[core.label])
+    monkeypatch.setattr(search, "_choice", lambda core, forms, fit: judged[core.label])
+    alternatives = [(choice.core, choice.forms) for choice in made.values()]
+    assert search._simplest(alternatives, made["backlash"]).core.label == "backlash"
 
 
 def test_a_larger_device_or_a_part_that_was_refused_does_not_come_back(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,8 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from hystmpc.models.contract.metadata import DeviceLimits, ModelMetadata, NoiseModel
+from hystmpc.models.contract.metadata import DeviceLimits, ModelMetadata, NoiseModel, slow_error
 from hystmpc.models.identify.estimation_noise import estimation_noise
 from hystmpc.models.identify.simulators import identify
 from hystmpc.models.load import library_file, load_model
@@ -63,12 +65,15 @@ def test_white_residuals_are_the_sensor_s_alone() -> None:
     assert found.motion_sigma_deg_per_sqrt_unit < 0.02
 
 
-def test_an_offset_of_a_trial_is_no_noise() -> None:
+def test_an_offset_of_a_trial_is_no_noise_but_an_error_without_a_sensor() -> None:
     given = trials()
     plain = residuals(given, noise_of(0.15, 0.1, 0.5))
     shifted = [residual + 3.0 * k for k, residual in enumerate(plain)]
-    found = [tuple(estimation_noise(given, left).model_dump().values()) for left in (shifted, plain)]
-    assert found[0] == pytest.approx(found[1], rel=1e-6)
+    found, same = (estimation_noise(given, left) for left in (shifted, plain))
+    noises = [list(noise.model_dump(exclude={"model_sigma_deg"}).values()) for noise in (found, same)]
+    assert noises[0] == pytest.approx(noises[1], rel=1e-6)
+    assert found.model_sigma_deg is not None
+    assert found.model_sigma_deg > math.sqrt(np.mean(np.square([0.0, 3.0, 6.0])))
 
 
 def test_residuals_of_what_was_fitted_count_for_more() -> None:
@@ -143,3 +148,46 @@ def test_the_slow_error_of_a_model_is_told_from_the_noise_of_the_sensor() -> Non
     white = estimation_noise([trial], [0.2 * random.standard_normal(t.size)])
     assert white.model_sigma_deg is not None
     assert white.model_sigma_deg < 0.05
+
+
+@given(st.lists(st.floats(-1.0, 10.0), min_size=1, max_size=9), st.integers(0, 5))
+def test_trials_that_differ_say_less_of_other_motions(squares: list[float], seed: int) -> None:
+    """The error is at least that of all samples. It is that where trials are alike, and does not know their order."""
+    samples = np.random.default_rng(seed).integers(5, 500, len(squares)).tolist()
+    mean = float(np.average(squares, weights=samples))
+    error = slow_error(squares, samples)
+    assert error**2 >= max(mean, 0.0) - 1e-9
+    assert slow_error([mean] * len(squares), samples) == pytest.approx(math.sqrt(max(mean, 0.0)), abs=1e-6)
+    assert slow_error(squares[::-1], samples[::-1]) == pytest.approx(error, abs=1e-6)
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.5, 1.0])
+def test_the_band_holds_nine_in_ten_errors_of_motions_that_are_not_among_the_trials(spread: float) -> None:
+    """Of motions whose sizes of error differ by `spread` in the logarithm; six trials under noise of the same size."""
+    random, within = np.random.default_rng(7), []
+
+    def slow() -> Vec:
+        raw = random.standard_normal(500 + 12)
+        smooth = np.convolve(raw, np.ones(12) / math.sqrt(12.0), "valid")[:500]
+        return 0.1 * math.exp(spread * random.standard_normal()) * smooth
+
+    t = np.arange(500) * DT
+    for _ in range(60):
+        left = [slow() + 0.1 * random.standard_normal(500) for _ in range(6)]
+        sigma = estimation_noise([Trial(t, np.sin(t), np.zeros(500))] * 6, left).model_sigma_deg
+        assert sigma is not None
+        within += [np.abs(slow()) <= 1.645 * sigma for _ in range(5)]
+    assert 0.885 <= float(np.mean(within)) <= 0.92
+
+
+def test_one_trial_counts_as_its_thirds() -> None:
+    t = np.arange(900) * DT
+    trial = Trial(t, np.sin(t), np.zeros(900))
+    residual = np.repeat([0.1, 0.2, 0.6], 300) * np.sign(np.sin(3.0 * t))
+    whole, parts = (
+        estimation_noise([trial.select(0, left.size) for left in lefts], lefts).model_sigma_deg
+        for lefts in ([residual], np.array_split(residual, 3))
+    )
+    assert whole == pytest.approx(parts)
+    assert whole is not None
+    assert whole > math.sqrt(np.mean(residual**2))

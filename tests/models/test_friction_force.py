@@ -15,7 +15,7 @@ from hystmpc.models.contract.metadata import DeviceLimits
 from hystmpc.models.identify.auto import identify_auto
 from hystmpc.models.identify.baseline import FreeCoreBaseline
 from hystmpc.models.identify.chain_kinds import FRICTION_KINDS
-from hystmpc.models.identify.cross_validation import CrossValidation
+from hystmpc.models.identify.cross_validation import CrossValidation, fit_problem
 from hystmpc.models.identify.runs import command_range, runs_of
 from hystmpc.models.identify.simulators import simulator_of
 from hystmpc.models.kinds.catalogue import kind_named
@@ -152,7 +152,12 @@ def test_one_trial_is_judged_on_thirds_of_its_time() -> None:
     assert len(judged.fold_q) == 3
     assert judged.errors[0].size == np.count_nonzero(runs[0].counts)
     assert judged.mse > seen.judge(fit).mse
-    np.testing.assert_allclose(held_out.left_out(judged)[0], -judged.errors[0], atol=1e-9)
+    fits = [
+        fit_problem(fit.problem, rest, q, 60, 1e-6)
+        for (rest, _), q in zip(held_out._splits, judged.fold_q, strict=True)
+    ]
+    thirds = [found.error(third[0]) for found, (_, third) in zip(fits, held_out._splits, strict=True)]
+    np.testing.assert_allclose(held_out.left_out(judged)[0], -np.concatenate(thirds), atol=1e-9)
 
 
 def test_a_device_that_rests_in_the_middle_of_its_command_is_started_there(tmp_path: Path) -> None:
