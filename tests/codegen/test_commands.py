@@ -73,6 +73,10 @@ CASES: Mapping[str, tuple[dict[str, Any], float]] = {
 }
 
 
+GRAIN = 1e-7 * 10.0 * 0.04
+"""Of a command [mm]: a share of the greatest move of a sample."""
+
+
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory: pytest.TempPathFactory) -> Library:
     """Plays without learning."""
@@ -86,7 +90,10 @@ def test_commands_are_those_of_python_for_every_part(case: str, tmp_path: Path) 
     # Of 760 samples one stop and one release, at 700 and 730, and three references without a number.
     options = ("-O1", "-march=native") if "lstm" in settings_["model"] else None  # of a size that takes its time
     found = compare(settings_, library(settings_, tmp_path, options=options), 760, lag_s)
-    assert found.greatest <= SAME
+    off = np.abs(found.python - found.c)
+    # Commands are rounded to a grain: at the middle between two grains the last digit of a sum chooses the side.
+    assert np.all((off <= SAME) | (np.abs(off - GRAIN) <= SAME))
+    assert np.mean(off > SAME) <= 0.01
     assert found.same_sources
     assert found.sources["mpc"] + found.sources["feedback"] > 250
     assert case != "plays" or {"mpc", "hold", "stop"} <= found.sources.keys()
