@@ -43,6 +43,7 @@ def test_a_linear_problem_takes_one_step_whatever_bounds_it_touches(seed: int, s
     exact = lsq_linear(matrix, target, bounds, method="bvls", tol=1e-14)
     assert float(np.sum((matrix @ found - target) ** 2)) == pytest.approx(2.0 * exact.cost, rel=1e-6)
     assert len(problem.points) <= 3
+    assert all(np.all((bounds[0] < q) & (q < bounds[1])) for q in problem.points)
 
 
 @given(SEEDS)
