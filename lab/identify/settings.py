@@ -92,8 +92,11 @@ def covered(result: IdentifyResult, part: str) -> bool | None:
 
 
 def invented(result: IdentifyResult, part: str) -> bool | None:
-    """Whether a part was identified on a device without it; None on a device with it."""
-    return None if result.truth[part] else part in result.found
+    """Whether a part was identified, its interval without 0, on a device without it; None on a device with it."""
+    if result.truth[part]:
+        return None
+    _, low, high = result.found.get(part, (0.0, 0.0, 0.0))
+    return not low <= 0.0 <= high
 
 
 def bars(outcome: IdentifyOutcome) -> list[Bar]:

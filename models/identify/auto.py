@@ -17,7 +17,7 @@ from ..contract.metadata import NoiseModel, Range
 from ..decades import Decades
 from ..effects.catalogue import EFFECTS
 from ..effects.effect import Candidate, Freedom
-from .auto_search import SEARCH_HZ, STANDARD_ERRORS, AutoSearch, Choice, PartRow, SearchProgress, needed
+from .auto_search import SEARCH_HZ, STANDARD_ERRORS, AutoSearch, Choice, PartRow, SearchProgress, stays
 from .chain_fit import no_result
 from .cross_validation import Hypothesis, gain
 from .estimation_noise import estimation_noise
@@ -118,6 +118,7 @@ def _identified(
     except KeyboardInterrupt:  # the device is identified; only the table of its parts is missing
         search.interrupted = True
     noise = estimation_noise(trials, _without_zeros(last.left_out(device), search.offsets))
+    unsure = _perhaps_none(device, parameters, command)
     parameters = tuple(row.times(decades.in_log(row.unit)) for row in parameters)
     return AutoFit(
         device,
@@ -128,7 +129,7 @@ def _identified(
         parameters,
         search.offsets,
         decades.log_noise(noise),
-        tuple(_advice(parameters, trials[0].units)),
+        tuple(_advice(parameters, trials[0].units, unsure)),
         decades,
         search.interrupted,
     )
@@ -174,13 +175,15 @@ def _with_meaning(
     reduced_by: Callable[[Choice, str, str, set[str]], Choice],
     numbers_of: Callable[[Choice], tuple[ParameterRow, ...]],
 ) -> tuple[Choice, tuple[ParameterRow, ...]]:
-    """Device without effects that may be the identity, and its parameter values."""
-    lost, required = set[str](), set[tuple[str, str]]()
+    """Device without effects that may be the identity, unless held-out errors rise by more than their standard error.
+
+    An effect that stays is of use for predictions. Its interval says that it may be another one, or none.
+    """
+    lost, required, searched = set[str](), set[tuple[str, str]](), device
     while nothing := without_meaning(device, rows, command, required):
         part, effect = nothing
         reduced = reduced_by(device, part, effect, {*lost, part})
-        ended = any(row.at_bound for row in rows if row.owner == effect)  # it represents another effect
-        if not ended and needed(reduced.judged, device.judged):
+        if stays(reduced.judged, searched.judged):
             required.add(nothing)
             continue
         lost.add(part)
@@ -228,8 +231,9 @@ def _thinned(trials: Sequence[Trial], dt: float) -> Sequence[Trial]:
         return trials
 
 
-def _advice(parameters: Sequence[ParameterRow], units: Units) -> Iterator[str]:
-    for owner in dict.fromkeys(row.owner for row in parameters if row.flat or row.at_bound):
+def _advice(parameters: Sequence[ParameterRow], units: Units, unsure: Collection[str] = ()) -> Iterator[str]:
+    doubtful = (row.owner for row in parameters if row.flat or row.at_bound or row.owner in unsure)
+    for owner in dict.fromkeys(doubtful):
         rows_of_effect, what = [r for r in parameters if r.owner == owner], owner.replace("_", " ")
         for row in (r for r in rows_of_effect if r.at_bound):
             value = f"{row.value:.4g} {units.named(row.unit)}".rstrip()
@@ -237,7 +241,9 @@ def _advice(parameters: Sequence[ParameterRow], units: Units) -> Iterator[str]:
             yield f"{what}: {row.name} {value} is at the end of what was searched; it may be {way}"
         motions = [MOTIONS_THAT_SEPARATE[kind] for kind in EFFECTS[owner].separated_by]
         record = f"; record {' and '.join(motions)}" if motions else ""
-        if names := ", ".join(r.name for r in rows_of_effect if r.flat and not r.at_bound):
+        if owner in unsure:
+            yield f"{what}: it lowers the error on trials left out, but may be another effect or none{record}"
+        elif names := ", ".join(r.name for r in rows_of_effect if r.flat and not r.at_bound):
             yield f"{what}: {names} not identifiable from these logs{record}"
 
 
@@ -315,7 +321,7 @@ def without_meaning(
     may end below the lowest command.
 
     Args:
-        required: parts and effects that are kept without this test, see `needed`.
+        required: parts and effects that are kept without this test, see `stays`.
     """
     rows = iter(parameters)
     owners = [(name, c) for name, form in choice.forms.items() for c in form]
@@ -324,6 +330,14 @@ def without_meaning(
         if (name, candidate.effect) not in required and _may_do_nothing(numbers, command):
             return name, candidate.effect
     return None
+
+
+def _perhaps_none(choice: Choice, parameters: Sequence[ParameterRow], command: Range) -> frozenset[str]:
+    """Effects whose intervals include their neutral value."""
+    seen = set[tuple[str, str]]()
+    while nothing := without_meaning(choice, parameters, command, seen):
+        seen.add(nothing)
+    return frozenset(effect for _, effect in seen)
 
 
 def _may_do_nothing(numbers: Sequence[tuple[ParameterRow, Freedom]], command: Range) -> bool:

@@ -89,12 +89,6 @@ def stays(before: Blocks, after: Blocks) -> bool:
     return fall > max(error, _LEAST_SHARE * before.mse)
 
 
-def needed(before: Blocks, after: Blocks) -> bool:
-    """Whether removing a part certainly doubles the mean square error, whatever its parameter values."""
-    fall, error = gain(before, after)
-    return fall > max(STANDARD_ERRORS * error, 0.5 * before.mse)
-
-
 @dataclass(frozen=True, eq=False)
 class Choice:
     """Structure of the device model that the search has chosen so far."""

@@ -15,8 +15,15 @@ from scipy.signal import cont2discrete
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.effects.effect import Candidate, Scale
-from hystmpc.models.identify.auto import _advice, identify_auto, widened_rows, without_meaning
-from hystmpc.models.identify.auto_search import Choice, needed, stays
+from hystmpc.models.identify.auto import (
+    _advice,
+    _perhaps_none,
+    _with_meaning,
+    identify_auto,
+    widened_rows,
+    without_meaning,
+)
+from hystmpc.models.identify.auto_search import Choice, stays
 from hystmpc.models.identify.baseline import FreeCoreBaseline
 from hystmpc.models.identify.cross_validation import CrossValidation
 from hystmpc.models.identify.parts import (
@@ -165,7 +172,7 @@ def _named(part: str, *variants: str) -> Form:
     return next(form for form in _PARTS[part] if tuple(c.variant for c in form) == variants)
 
 
-def test_a_part_stays_only_if_its_interval_excludes_that_it_does_nothing() -> None:
+def test_a_part_may_do_nothing_where_its_interval_says_so() -> None:
     delay, lag = _named("drive", "command"), _named("drive", "one pole")
     speed, valve = _named("drive", "top speed"), _named("valve", "before the drive")
     creep = _named("creep", "command")
@@ -201,15 +208,38 @@ def test_a_part_stays_only_if_it_lowers_the_error_by_more_than_its_standard_erro
     assert stays(Blocks(energy, samples, run), Blocks(scattered, samples, run)) == kept
 
 
-def test_a_part_without_which_the_error_doubles_beyond_doubt_is_needed() -> None:
-    random, samples, run = np.random.default_rng(1), np.full(20, 75.0), np.zeros(20, dtype=np.intp)
-    energy = 75 * random.uniform(0.9, 1.1, 20)
-    lone = energy.copy()
-    lone[0] *= 40.0  # twice as much in all, in one block alone
-    after = Blocks(energy, samples, run)
-    assert needed(Blocks(3 * energy, samples, run), after)
-    assert not needed(Blocks(1.5 * energy, samples, run), after)
-    assert not needed(Blocks(lone, samples, run), after)
+@pytest.mark.parametrize(("rise", "kept"), [(0.01, False), (0.5, True)])
+def test_an_effect_that_may_be_none_goes_unless_its_loss_costs_more_than_a_standard_error(
+    rise: float, kept: bool
+) -> None:
+    """The device of the search is compared, so that several small losses do not add up to a large one."""
+    delay, creep = _named("drive", "command"), _named("creep", "command")
+    rows = (
+        ParameterRow("delay", "delay_s", 0.005, (-0.01, 0.02)),
+        ParameterRow("creep", "share", 0.0, (-0.1, 0.1)),
+        ParameterRow("creep", "tau_s", 2.0, (1.0, 5.0)),
+    )
+    energy = 75 * np.random.default_rng(1).uniform(0.9, 1.1, 20)
+
+    def device(forms: dict[str, Form], factor: float) -> Choice:
+        judged = Blocks(factor * energy, np.full(20, 75.0), np.zeros(20, dtype=np.intp))
+        return Choice(_LINE, forms, judged)  # type: ignore[arg-type]  # errors alone are looked at
+
+    def without(present: Choice, part: str, effect: str, lost: set[str]) -> Choice:
+        left = {name: form for name, form in present.forms.items() if name != part}
+        return device(left, 1.0 + rise * (2 - len(left)))
+
+    def rows_of(present: Choice) -> tuple[ParameterRow, ...]:
+        return tuple(row for row in rows if any(c.effect == row.owner for f in present.forms.values() for c in f))
+
+    searched, command = device({"drive": delay, "creep": creep}, 1.0), Range(lower=0.5, upper=5.5)
+    chosen, numbers = _with_meaning(searched, rows, command, without, rows_of)
+    assert (chosen is searched) == kept
+    assert bool(chosen.forms) == kept
+    assert _perhaps_none(chosen, numbers, command) == (frozenset({"delay", "creep"}) if kept else frozenset())
+    said = list(_advice(numbers, Units(), _perhaps_none(chosen, numbers, command)))
+    assert all("may be another effect or none; record" in line for line in said)
+    assert len(said) == 2 * kept
 
 
 @pytest.mark.slow
