@@ -40,12 +40,12 @@ def diagnose(
     """The exit code is 0 for any verdict.
 
     Raises:
-        ConfigError: if logs, simulator or folder are missing.
+        ConfigError: if logs or folder are missing.
     """
     if self_test:
         _self_test(call.seed)
         return
-    given = {"LOG...": call.trials, "--sim": call.simulator, "--out": call.out}
+    given = {"LOG...": call.trials, "--out": call.out}
     if absent := [name for name, value in given.items() if not value]:
         raise ConfigError(f"diagnose: lacks {', '.join(absent)}, expected LOG... --sim SIM --out DIR, or --self-test")
     diagnosis: Diagnosis = call.run("diagnose", pace=_PACE, after=_REPORT)
@@ -63,7 +63,13 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
     from hystmpc.gap.report import words
     from hystmpc.gap.report.words import in_words, percent
 
-    said = (words.closed_sentence, words.mis_set_sentence, words.stability_sentence, words.tracking_sentence)
+    said = (
+        words.closed_sentence,
+        words.stand_in_sentence,
+        words.mis_set_sentence,
+        words.stability_sentence,
+        words.tracking_sentence,
+    )
     sentences = (*(sentence(diagnosis) for sentence in said), *words.order_sentences(diagnosis))
     for text in filter(None, (words.headline(diagnosis), diagnosis.reason, *sentences)):
         line(text)

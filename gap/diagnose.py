@@ -224,6 +224,8 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
         detectable=findings.detectable,
         unit=units.angle,
         command_unit=units.command,
+        simulator="given" if prepared.stand_in_rmse_deg is None else "stand_in",
+        stand_in_rmse_deg=prepared.stand_in_rmse_deg,
     )
 
 
@@ -361,7 +363,8 @@ def diagnose_trials(
     )
     data = with_tracking(conclude(findings, progress)[1], progress)
     if model is not None:
-        data = replace(data, simulator=model.name)
+        own = data.diagnosis.simulator == "stand_in"
+        data = replace(data, simulator=f"of your own, stand-in {model.name}" if own else model.name)
     if out is not None:
         settings: dict[str, Any] = {
             "logs": [trial.source for trial in trials],

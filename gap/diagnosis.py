@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 from hystmpc.models.identify.uncertainty import Interval
 from hystmpc.trials.brief import brief, in_brief
 
-FORMAT = "hystmpc-diagnosis/2"
-FORMATS = ("hystmpc-diagnosis/1", FORMAT)
-"""Accepted formats; version 2 has all keys of version 1, with their meaning."""
+FORMAT = "hystmpc-diagnosis/3"
+FORMATS = ("hystmpc-diagnosis/1", "hystmpc-diagnosis/2", FORMAT)
+"""Accepted formats; a version has all keys of those before, with their meaning."""
 
 FIXED_FILE, MOTION_FILE = "sim.fixed.yaml", "next_motion.csv"
 """Files of the corrected simulator and of the proposed motion in the folder of a diagnosis."""
@@ -280,6 +280,8 @@ class Diagnosis:
         detectable: smallest detectable size of each effect; None if not requested.
         unit: of the output as logged, such as deg or N; it applies to all numbers named `..._deg`.
         command_unit: of the command as logged.
+        simulator: given | stand_in: whether the simulator was run, or the logs hold the output of the user's own.
+        stand_in_rmse_deg: error of the stand-in on that output [deg]; None for a given simulator.
     """
 
     verdict: Verdict
@@ -302,6 +304,8 @@ class Diagnosis:
     detectable: DetectableSizes | None = None
     unit: str = "deg"
     command_unit: str = "mm"
+    simulator: Literal["given", "stand_in"] = "given"
+    stand_in_rmse_deg: float | None = None
 
     def __repr__(self) -> str:
         return in_brief(self, f"{self.verdict}: {self.reason}")
@@ -322,7 +326,7 @@ class Diagnosis:
         return bool(self.retuned) and all(given == retuned for given, retuned in self.retuned.values())
 
     def as_json(self) -> dict[str, Any]:
-        """Convert to the fixed form `hystmpc-diagnosis/2`: plain dicts, lists, numbers and strings."""
+        """Convert to the fixed form `hystmpc-diagnosis/3`: plain dicts, lists, numbers and strings."""
         fields, stability = _plain(asdict(self)), self.stability
         fields |= {
             "stability": None if stability is None else stability.share,

@@ -6,23 +6,28 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.files import figures_to, require_writable
 from hystmpc.trials.read import AnyLayout
 from hystmpc.trials.recording import recorded_trials
-from hystmpc.trials.types import Progress
+from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Progress, parts
 
 from .inputs import Logs, Model, Say, as_list, chain_or_model, warn_of_units
 from .outputs import check_figures
 
 if TYPE_CHECKING:
     from hystmpc.gap.diagnosis import Diagnosis
+    from hystmpc.models.model import LoadedModel
+    from hystmpc.models.simulator import Simulator
 
 
 def diagnose(
     trials: Logs,
-    simulator: Model,
+    simulator: Model | None = None,
     out: Path | str | None = None,
     *,
+    simulated: Path | str | None = None,
     layout: AnyLayout = "auto",
     seed: int = 1,
     without: Sequence[str] = (),
@@ -37,8 +42,11 @@ def diagnose(
 
     Args:
         trials: logs, data frames or trials of one device.
-        simulator: a fit, simulator, opened model or file.
+        simulator: a fit, simulator, opened model or file. Where the logs hold the output of a simulator of your own,
+            its stand-in; `fit auto` makes one from that output if this is left out.
         out: folder to write: new, empty, or an older diagnosis; without it nothing is written.
+        simulated: folder with the output of your own simulator: files of the names of the logs, with their commands; a
+            column simulated_deg (or of the angle's unit) in the logs does the same.
         layout: layout of the logs: auto, canonical, tendon-catheter, or a mapping file *.yaml.
         seed: seed of everything drawn at random.
         without: leave this effect out of the library.
@@ -52,10 +60,13 @@ def diagnose(
 
     Raises:
         LogError: if a log cannot be used, or is a motion that a diagnosis has proposed.
-        GapError: if the trials cannot be compared with the simulator, or an effect is unknown.
+        GapError: if the trials cannot be compared with the simulator, an effect is unknown, or a simulator's output is
+            missing, incomplete or of another command.
         ModelError: if the simulator cannot be opened or is an inverse map.
-        ConfigError: if `out` holds anything but an older diagnosis, or a folder cannot be written.
+        ConfigError: if there is no simulator, `out` holds anything but an older diagnosis, or a folder cannot be
+            written.
     """
+    from hystmpc.gap.logs.own_simulator import with_simulated
     from hystmpc.gap.report.folder import require_free
     from hystmpc.models.load import model_path
 
@@ -63,10 +74,15 @@ def diagnose(
     if out is not None:
         require_writable(out)
         require_free(out)
-    chain = chain_or_model(simulator)
+    chain = None if simulator is None else chain_or_model(simulator)
     recorded = recorded_trials(as_list(trials), layout)
+    if simulated is not None:
+        recorded = with_simulated(recorded, Path(simulated), lambda file: recorded_trials(file, layout)[0])
     if say is not None:
         warn_of_units(recorded, say)
+    if chain is None:
+        first, progress = parts(progress, (1.0, 1.0))
+        chain = _stand_in(recorded, first)
     from hystmpc.gap.diagnose import diagnose_trials  # scipy takes long to import: after all checks
 
     with figures_to(figures):
@@ -74,7 +90,11 @@ def diagnose(
             recorded,
             chain,
             out=out,
-            called={"sim": str(simulator), "layout": str(layout)},
+            called={
+                "sim": None if simulator is None else str(simulator),
+                "simulated": None if simulated is None else str(simulated),
+                "layout": str(layout),
+            },
             model=Path(model_path(str(simulator))) if isinstance(simulator, Path | str) else None,
             seed=seed,
             without=tuple(without),
@@ -85,3 +105,24 @@ def diagnose(
             say=say,
         )
     return done.diagnosis
+
+
+def _stand_in(recorded: Sequence[Trial], progress: Progress) -> Simulator | LoadedModel:
+    """Model of the simulator's output, by `fit auto`."""
+    from hystmpc.gap.logs.own_simulator import SIMULATED, as_simulated, have_simulated
+
+    from .fit import DEFAULT_RATE_HZ, fit
+
+    if not have_simulated(recorded):
+        unit = recorded[0].units.angle
+        raise ConfigError(
+            f"diagnose: got no simulator, expected --sim SIM, or the output of your own simulator: --simulated FOLDER "
+            f"or a column {SIMULATED}_{unit} in the logs"
+        )
+
+    def fitting(done: float, total: float, error: str = "", /) -> None:
+        del error
+        progress(done, total, "fitting a stand-in of your simulator")
+
+    rate_hz = min(DEFAULT_RATE_HZ, *(1.0 / trial.dt for trial in recorded))
+    return fit("auto", [as_simulated(trial) for trial in recorded], rate_hz=rate_hz, progress=fitting).simulator

@@ -31,6 +31,7 @@ from hystmpc.trials.types import Vec
 from ..diagnosis import Order
 from .check import CheckedTrials, check_trials
 from .noise_floor import NoiseFloor, find_floor
+from .own_simulator import as_simulated, have_simulated
 from .sensor import SensorSigns, repaired, sensor_signs, white_noise
 from .trial_choice import in_recording_order, split_runs
 
@@ -57,6 +58,8 @@ class PreparedTrials:
         excess_mse: energy of the sensor's noise beyond its noise at identification, or beyond its rounding if that is
             unknown [deg^2].
         new_step: whether the sensor's readings have coarse steps that were absent at identification.
+        stand_in_rmse_deg: error of the stand-in on the output of the user's simulator [unit of the log]; None where the
+            simulator itself is given.
     """
 
     decades: Decades
@@ -73,6 +76,7 @@ class PreparedTrials:
     excess_mse: float
     order: Order = "known"
     new_step: bool = False
+    stand_in_rmse_deg: float | None = None
 
     @property
     def rounding_deg(self) -> float:
@@ -101,6 +105,8 @@ def prepare(
 ) -> PreparedTrials:
     """Check, resample, repair and split trials, and derive the baseline of the simulator.
 
+    Where the trials hold the output of the user's simulator, the one given is its stand-in, see `own_simulator`.
+
     Args:
         seed: of the choice among too many trials.
         ordered: whether the trials are known to be in recording order, see `in_recording_order`.
@@ -116,7 +122,8 @@ def prepare(
     decades = Decades.of_ranges(facts.trained_command, facts.trained_angle)
     if isinstance(simulator, Simulator):
         _require_size(simulator, decades)
-    identification = _identification(simulator, decades)
+    own = have_simulated(checked.trials)
+    identification = Identification(method="stand-in") if own else _identification(simulator, decades)
     noise = identification.noise
     known_step = 0.0 if noise is None else noise.sensor_resolution_deg / decades.angle
     nominal = nominal_noise_deg(identification, known_step)
@@ -134,7 +141,7 @@ def prepare(
             replace(run, counts=run.counts & (np.arange(run.counts.size) >= end))
             for run, end in zip(runs, ends, strict=True)
         )
-    if isinstance(simulator, Simulator):
+    if isinstance(simulator, Simulator) and not own:
         problem, pairs = Problem(baseline), zip(counted, in_working_units, strict=True)
         errors = [decades.angle * (problem.angles(problem.as_given, r) - t.angle)[r.counts] for r, t in pairs]
         notes = _evaluation_notes(simulator, errors, checked, skip_first_flexure)
@@ -158,7 +165,12 @@ def prepare(
         excess_mse=max(excess, signs.quantisation_deg**2 / 12.0 if new_step else 0.0),
         order=order,
         new_step=new_step,
+        stand_in_rmse_deg=_stand_in_rmse(counted) * decades.angle if own else None,
     )
+
+
+def _stand_in_rmse(runs: Sequence[Run]) -> float:
+    return float(np.sqrt(np.mean(np.concatenate([run.correction[run.counts] for run in runs]) ** 2)))
 
 
 def _baseline_and_runs(
@@ -172,19 +184,32 @@ def _baseline_and_runs(
         upper=max(float(t.command.max()) for t in repaired_trials),
     )
     before = [b.scaled(1 / decades.command) for b in checked.before]
+    played = decades.trials([as_simulated(t) for t in checked.trials]) if have_simulated(checked.trials) else None
     if isinstance(simulator, Simulator):
         simulator_chain, chain = (decades.chain(s.chain) for s in (simulator, simulator.at_sample_time(checked.dt)))
         baseline = baseline_of(chain, command)
         starts = starts_at_simulator_rate([repaired(trial, signs) for trial in given], simulator.dt_s, checked.dt)
         runs = _with_starts(baseline, runs_of(repaired_trials, None, before, starts), simulator, decades)
-        runs = corrected_to_simulator_rate(runs, given, chain, simulator_chain, simulator.dt_s)
+        if played is None:
+            runs = corrected_to_simulator_rate(runs, given, chain, simulator_chain, simulator.dt_s)
+        else:
+            alone = _with_starts(baseline, runs_of(played, None, before), simulator, decades)
+            runs = _corrected_to_output(runs, alone, Problem(baseline))
     else:
-        baseline, corrections = _network_baseline(simulator, repaired_trials, command, decades)
+        baseline, corrections = _network_baseline(simulator, repaired_trials, command, decades, played)
         runs = runs_of(repaired_trials, corrections, before)
     if signs.spikes or signs.drops:
         problem, pairs = Problem(baseline), zip(runs, trials, strict=True)
         runs = tuple(replace(r, angle=repaired(t, signs, problem.angles(problem.as_given, r)).angle) for r, t in pairs)
     return baseline, runs
+
+
+def _corrected_to_output(runs: Sequence[Run], played: Sequence[Run], stand_in: Problem) -> tuple[Run, ...]:
+    """Runs with a correction: output of the user's simulator minus that of its stand-in, from the simulator's start."""
+    return tuple(
+        replace(run, correction=own.angle - stand_in.angles(stand_in.as_given, own))
+        for run, own in zip(runs, played, strict=True)
+    )
 
 
 def _with_starts(baseline: Baseline, runs: Sequence[Run], simulator: Simulator, decades: Decades) -> tuple[Run, ...]:
@@ -233,11 +258,22 @@ def shortage(trials: Sequence[Trial]) -> str:
 
 
 def _network_baseline(
-    model: LoadedModel, trials: Sequence[Trial], command: Range, decades: Decades
+    model: LoadedModel,
+    trials: Sequence[Trial],
+    command: Range,
+    decades: Decades,
+    played: Sequence[Trial] | None = None,
 ) -> tuple[Baseline, list[Vec]]:
-    """Plays as a baseline for a network, first order with effects, and the angle differences (T,) that they leave."""
-    in_log = [replace(t, command=decades.command * t.command, angle=decades.angle * t.angle) for t in trials]
-    angles = [free_run(model, trial.command, started(model, trial)) / decades.angle for trial in in_log]
+    """Plays as a baseline for a network, first order with effects, and the angle differences (T,) that they leave.
+
+    Args:
+        played: the same trials with the output of the user's simulator, which then counts in place of the network's.
+    """
+    if played is None:
+        in_log = [replace(t, command=decades.command * t.command, angle=decades.angle * t.angle) for t in trials]
+        angles = [free_run(model, trial.command, started(model, trial)) / decades.angle for trial in in_log]
+    else:
+        angles = [trial.angle for trial in played]
     copies = [replace(trial, angle=y) for trial, y in zip(trials, angles, strict=True)]
     baseline = ScaledBaseline(_plays(copies, command), command)
     problem = Problem(baseline)

@@ -164,7 +164,7 @@ def report_data(
         files = network_effects(chosen, prepared.baseline, last, dt, "the network", prepared.decades)
     return ReportData(
         diagnosis=diagnosis,
-        simulator="simulator",
+        simulator="simulator" if prepared.stand_in_rmse_deg is None else "of your own",
         trials=_trials(findings, diagnosis.gap.floor_rmse_deg),
         excitation=prepared.checked.excitation,
         candidates=_candidates(findings, diagnosis),

@@ -367,6 +367,17 @@ def next_actions(data: ReportData) -> tuple[str, ...]:
     return tuple(filter(None, said))
 
 
+def stand_in_sentence(diagnosis: Diagnosis) -> str:
+    """Sentence on the user's own simulator and its stand-in; empty where the simulator itself was run."""
+    if diagnosis.stand_in_rmse_deg is None:
+        return ""
+    error = _size(diagnosis.stand_in_rmse_deg, diagnosis.unit)
+    return (
+        "The simulator is your own: its recorded output counts, and a stand-in says how an effect would change it. "
+        f"The stand-in differs from that output by {error} RMS, which is taken off."
+    )
+
+
 def certainty(diagnosis: Diagnosis) -> tuple[str, ...]:
     """Texts on probability, stability over splits, interval, floor, and untestable effects."""
     untested = ""
@@ -377,7 +388,14 @@ def certainty(diagnosis: Diagnosis) -> tuple[str, ...]:
         return tuple(filter(None, ("Nothing is named, and no share is worth reading.", untested)))
     floor = floor_words(diagnosis.gap, diagnosis.unit) if diagnosis.gap.floor_kind == "noise" else ""
     chance = _probability(diagnosis), _disagreement(diagnosis)
-    said = (*chance, stability_sentence(diagnosis), _intervals(diagnosis), floor, untested)
+    said = (
+        stand_in_sentence(diagnosis),
+        *chance,
+        stability_sentence(diagnosis),
+        _intervals(diagnosis),
+        floor,
+        untested,
+    )
     return tuple(filter(None, said))
 
 
@@ -421,6 +439,8 @@ def _corrected(data: ReportData) -> str:
     given, retuned = diagnosis.gap.nominal_rmse_deg, diagnosis.gap.retuned_rmse_deg
     if retuned < given:
         fall = f"from {given:.3g} to {retuned:.3g} {diagnosis.unit}"
+        if diagnosis.simulator == "stand_in":
+            return f"Retune your simulator: other numbers lower the RMSE on the {data.measured_on} {fall}."
         return f"Use {FIXED_FILE}: its retuned numbers lower the RMSE on the {data.measured_on} {fall}."
     return f"Keep the simulator as given: retuning does not lower the RMSE on the {data.measured_on}."
 
@@ -435,7 +455,10 @@ def _with_effects(data: ReportData, fixed: Simulator) -> str:
     )
     if not held:
         return f"The file {FIXED_FILE} is retuned only: it does not hold {lacking}." if lacking else ""
-    if diagnosis.verdict == "named":
+    if diagnosis.simulator == "stand_in":
+        build = f"Build {held} into your simulator" if diagnosis.verdict == "named" else f"{held} lowers the error"
+        said = f"{_sentence(build)} {FIXED_FILE} is its stand-in with {held}, and no more than that."
+    elif diagnosis.verdict == "named":
         said = f"Use {FIXED_FILE}: it is the simulator with {held}."
     else:
         said = f"The corrected simulator, {FIXED_FILE}, holds {held}: it lowers the error, but proves no cause."

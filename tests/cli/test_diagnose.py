@@ -51,8 +51,8 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "lacks LOG..., --sim, --out"),
-        (["{log}"], "lacks --sim, --out"),
+        ([], "lacks LOG..., --out"),
+        (["{log}"], "lacks --out"),
         (["{log}", "--sim", "{sim}"], "lacks --out"),
         (["{log}", "--sim", "absent.yaml", "--out", "out"], "absent.yaml"),
         (["{log}", "--sim", "sim.pkl", "--out", "out"], "expected .yaml, .onnx or builtin:NAME"),
@@ -142,7 +142,7 @@ def test_json_is_all_of_standard_output_and_the_folder_is_whole(
     assert code == 0, err
     assert out == (tmp_path / "d" / "diagnosis.json").read_text(encoding="utf-8")
     found = json.loads(out)
-    assert found["format"] == "hystmpc-diagnosis/2"
+    assert found["format"] == "hystmpc-diagnosis/3"
     assert found["verdict"] in VERDICTS
     files = {path.name for path in (tmp_path / "d").iterdir()}
     assert {"config.yaml", "meta.json", "log.csv", "diagnosis.json", "report.html", "sim.fixed.yaml"} <= files

@@ -129,7 +129,7 @@ def test_the_corrected_simulator_holds_the_effect_and_its_own_residuals() -> Non
 def test_the_result_has_the_fixed_form() -> None:
     """Section 4 of the design: names and types of `diagnosis.json`."""
     read = json.loads(diagnosis_json(creeping()[0]))
-    assert read["format"] == "hystmpc-diagnosis/2"
+    assert read["format"] == "hystmpc-diagnosis/3"
     for key, kind in KEYS.items():
         assert isinstance(read[key], kind), key
     second = {

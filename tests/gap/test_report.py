@@ -210,7 +210,7 @@ def test_json_is_the_fixed_form_and_strict() -> None:
     evidence = report_data("too_little", 1)
     text = diagnosis_json(evidence.diagnosis)
     read = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
-    assert read["format"] == "hystmpc-diagnosis/2"
+    assert read["format"] == "hystmpc-diagnosis/3"
     assert read["verdict"] == "too_little"
     assert read["gap"]["closed_share"] is None
     assert read["detectable"]["why_not"]
