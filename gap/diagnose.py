@@ -363,8 +363,8 @@ def diagnose_trials(
     )
     data = with_tracking(conclude(findings, progress)[1], progress)
     if model is not None:
-        own = data.diagnosis.simulator == "stand_in"
-        data = replace(data, simulator=f"of your own, stand-in {model.name}" if own else model.name)
+        stands_in = data.diagnosis.simulator == "stand_in"
+        data = replace(data, simulator=f"of your own, stand-in {model.name}" if stands_in else model.name)
     if out is not None:
         settings: dict[str, Any] = {
             "logs": [trial.source for trial in trials],

@@ -66,7 +66,7 @@ def diagnose(
         ConfigError: if there is no simulator, `out` holds anything but an older diagnosis, or a folder cannot be
             written.
     """
-    from hystmpc.gap.logs.own_simulator import with_simulated
+    from hystmpc.gap.logs.simulated import with_simulated
     from hystmpc.gap.report.folder import require_free
     from hystmpc.models.load import model_path
 
@@ -109,7 +109,7 @@ def diagnose(
 
 def _stand_in(recorded: Sequence[Trial], progress: Progress) -> Simulator | LoadedModel:
     """Model of the simulator's output, by `fit auto`."""
-    from hystmpc.gap.logs.own_simulator import SIMULATED, as_simulated, have_simulated
+    from hystmpc.gap.logs.simulated import SIMULATED, as_simulated, have_simulated
 
     from .fit import DEFAULT_RATE_HZ, fit
 

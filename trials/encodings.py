@@ -168,7 +168,8 @@ def _jumps(values: Vec, other: Vec, late: int, is_command: bool) -> Encoding | N
         return None
     best, limit = None, (_NO_WORSE if unasked else _BETTER) * before
     for key, value, repaired in _repairs(signal, size[big], usual):
-        smooth = float(np.abs(np.diff(repaired)).max()) <= _SMOOTH * usual
+        longest = float(np.abs(np.diff(repaired)).max())
+        smooth = longest <= _SMOOTH * usual and longest <= 0.5 * float(size.max())  # no jump is left
         if smooth and (left := _unexplained(repaired, witness, late, is_command)) < limit:
             whole = values.copy()
             whole[index] = repaired

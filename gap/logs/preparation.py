@@ -31,8 +31,8 @@ from hystmpc.trials.types import Vec
 from ..diagnosis import Order
 from .check import CheckedTrials, check_trials
 from .noise_floor import NoiseFloor, find_floor
-from .own_simulator import as_simulated, have_simulated
 from .sensor import SensorSigns, repaired, sensor_signs, white_noise
+from .simulated import as_simulated, have_simulated
 from .trial_choice import in_recording_order, split_runs
 
 _LEAST_S, _LEAST_TURNS = 15.0, 3
@@ -105,7 +105,7 @@ def prepare(
 ) -> PreparedTrials:
     """Check, resample, repair and split trials, and derive the baseline of the simulator.
 
-    Where the trials hold the output of the user's simulator, the one given is its stand-in, see `own_simulator`.
+    Where the trials hold the output of the user's simulator, the one given is its stand-in, see `logs.simulated`.
 
     Args:
         seed: of the choice among too many trials.
@@ -122,8 +122,8 @@ def prepare(
     decades = Decades.of_ranges(facts.trained_command, facts.trained_angle)
     if isinstance(simulator, Simulator):
         _require_size(simulator, decades)
-    own = have_simulated(checked.trials)
-    identification = Identification(method="stand-in") if own else _identification(simulator, decades)
+    stands_in = have_simulated(checked.trials)
+    identification = Identification(method="stand-in") if stands_in else _identification(simulator, decades)
     noise = identification.noise
     known_step = 0.0 if noise is None else noise.sensor_resolution_deg / decades.angle
     nominal = nominal_noise_deg(identification, known_step)
@@ -132,6 +132,8 @@ def prepare(
     baseline, runs = _baseline_and_runs(simulator, checked, signs, decades)
     motions = checked.excitation.motions
     form_mse = model_form_mse(identification, trials, motions, facts.dt_s)
+    if stands_in:
+        form_mse = _stand_in_form_mse(baseline, runs)
     runs = counted = common_rest(runs, form_mse)
     begun = [f"{motion_line(Path(run.name).name, run.start, run.dt_s)}." for run in runs if run.lead]
     checked = replace(checked, notes=(*checked.notes, *begun))
@@ -141,7 +143,7 @@ def prepare(
             replace(run, counts=run.counts & (np.arange(run.counts.size) >= end))
             for run, end in zip(runs, ends, strict=True)
         )
-    if isinstance(simulator, Simulator) and not own:
+    if isinstance(simulator, Simulator) and not stands_in:
         problem, pairs = Problem(baseline), zip(counted, in_working_units, strict=True)
         errors = [decades.angle * (problem.angles(problem.as_given, r) - t.angle)[r.counts] for r, t in pairs]
         notes = _evaluation_notes(simulator, errors, checked, skip_first_flexure)
@@ -165,8 +167,23 @@ def prepare(
         excess_mse=max(excess, signs.quantisation_deg**2 / 12.0 if new_step else 0.0),
         order=order,
         new_step=new_step,
-        stand_in_rmse_deg=_stand_in_rmse(counted) * decades.angle if own else None,
+        stand_in_rmse_deg=_stand_in_rmse(counted) * decades.angle if stands_in else None,
     )
+
+
+def _stand_in_form_mse(baseline: Baseline, runs: Sequence[Run]) -> float:
+    """Part of the stand-in's error that its correction does not take off [deg^2].
+
+        e^2 min(1, (gap / width)^2),  width = gain * loop width
+
+    The error e of a stand-in changes along the way of its plays. On the simulator's own way it is known and taken
+    off. A device that is a width of the loop away meets another error of that size.
+    """
+    problem, quantities = Problem(baseline), baseline.quantities(baseline.nominal)
+    errors = [(problem.angles(problem.as_given, run) - run.angle)[run.counts] for run in runs]
+    away = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
+    width = quantities.get("gain", 0.0) * max(baseline.loop_width(baseline.nominal), 0.0)
+    return _stand_in_rmse(runs) ** 2 * min(1.0, away / max(width, 1e-12)) ** 2
 
 
 def _stand_in_rmse(runs: Sequence[Run]) -> float:
@@ -207,8 +224,8 @@ def _baseline_and_runs(
 def _corrected_to_output(runs: Sequence[Run], played: Sequence[Run], stand_in: Problem) -> tuple[Run, ...]:
     """Runs with a correction: output of the user's simulator minus that of its stand-in, from the simulator's start."""
     return tuple(
-        replace(run, correction=own.angle - stand_in.angles(stand_in.as_given, own))
-        for run, own in zip(runs, played, strict=True)
+        replace(run, correction=output.angle - stand_in.angles(stand_in.as_given, output))
+        for run, output in zip(runs, played, strict=True)
     )
 
 

@@ -43,9 +43,10 @@ CONTROLS = ("shuffled_residual", "simulator_and_noise", "mis_set")
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """Device, simulator and recording plan from which a case is made."""
+    """Device, simulator and recording plan from which a case is made; `nominal` is what the simulator was made from."""
 
     core: Core
+    nominal: BlindDevice
     mounting: Mounting
     device: BlindDevice
     simulator: Simulator
@@ -130,7 +131,7 @@ def _bench(
     device = replace(nominal, core=core.mounted(mounting), seed=int(random.integers(2**31)))
     recording = draw_plan(random, plan, core.travel)
     ruler = GapRuler.of(simulator, recording.commands, device.true_angles(recording.commands))
-    return Bench(core, mounting, device, simulator, baseline, recording, ruler, random)
+    return Bench(core, nominal, mounting, device, simulator, baseline, recording, ruler, random)
 
 
 def _identified(baseline: str, trials: Sequence[Trial], travel: float) -> Simulator:
@@ -223,7 +224,7 @@ def affected_case(
             **gap,
         }
     )
-    return Case(tuple(trials), bench.simulator, answer)
+    return Case(tuple(trials), bench.simulator, answer, tuple(bench.nominal.true_angles(bench.plan.commands)))
 
 
 def _second(effects: Sequence[Withheld], trials: int) -> tuple[int, ...]:

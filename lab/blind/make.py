@@ -206,6 +206,7 @@ class _CaseJob:
     suite: Suite
     number: int
     logs: tuple[Trial, ...]
+    own_simulator: bool
 
 
 def make_blind(
@@ -217,6 +218,7 @@ def make_blind(
     jobs: int = 1,
     progress: Progress | None = None,
     layout: str = "auto",
+    own_simulator: bool = False,
 ) -> Manifest:
     """Make and seal a blind check; equal arguments give equal files.
 
@@ -225,6 +227,7 @@ def make_blind(
         cases: how many; one round of the suite, or of all suites, where left out.
         suite: one of `SUITES`, or `all`.
         logs: real logs of one device, or folders of them, for `injection`.
+        own_simulator: see `write_case`.
 
     Raises:
         ConfigError: on an unknown suite, an occupied folder, a count below 1, or an injection without logs.
@@ -240,7 +243,12 @@ def make_blind(
     order = np.random.default_rng([seed, 0]).permutation(count)
     todo = [
         _CaseJob(
-            folder / "cases" / case_name(int(place), count), seed, name, number, real if name == "injection" else ()
+            folder / "cases" / case_name(int(place), count),
+            seed,
+            name,
+            number,
+            real if name == "injection" else (),
+            own_simulator,
         )
         for place, (name, number) in zip(order, wanted, strict=True)
     ]
@@ -251,5 +259,5 @@ def make_blind(
 
 def _make(job: _CaseJob) -> tuple[str, Answer]:
     case = make_case(job.seed, job.suite, job.number, job.logs)
-    write_case(job.folder, case)
+    write_case(job.folder, case, job.own_simulator)
     return job.folder.name, case.answer

@@ -5,13 +5,14 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
 
+from hystmpc.gap.logs.simulated import SIMULATED
 from hystmpc.gap.residual import MOTION_PARTS, motion_part_labels
 from hystmpc.models.simulator import Simulator, load_simulator, save_simulator
 from hystmpc.trials.config import Settings
@@ -144,11 +145,14 @@ class Case:
 
     Attributes:
         simulator: identified on other trials of the unaffected device.
+        unaffected: angles (T,) of that device for the commands of the trials, without noise [deg]; empty for a case
+            that is made of logs or of the simulator.
     """
 
     trials: tuple[Trial, ...]
     simulator: Simulator
     answer: Answer
+    unaffected: tuple[Vec, ...] = ()
 
 
 class Manifest(Settings):
@@ -165,9 +169,15 @@ class Manifest(Settings):
     without: dict[str, tuple[str, ...]]
 
 
-def write_case(folder: Path, case: Case) -> None:
-    """Write logs and simulator of one case, with equal names and layout for every case."""
+def write_case(folder: Path, case: Case, own_simulator: bool = False) -> None:
+    """Write logs and simulator of one case, with equal names and layout for every case.
+
+    Args:
+        own_simulator: whether the unaffected device is the user's own simulator: the logs then hold its output.
+    """
     for number, trial in enumerate(case.trials, start=1):
+        if own_simulator and case.unaffected:
+            trial = replace(trial, channels={f"{SIMULATED}_{trial.units.angle}": case.unaffected[number - 1]})
         write_csv(trial, folder / f"trial_{number:02d}.csv")
     save_simulator(case.simulator, folder / "sim.yaml")
 

@@ -54,12 +54,15 @@ def make(
     ] = None,
     layout: LayoutName = "auto",
     jobs: Jobs = None,
+    own_simulator: Annotated[
+        bool, typer.Option("--own-simulator", help="Logs hold what the unaffected device gives, as simulated_deg.")
+    ] = False,
 ) -> None:
     """Write cases without labels, and their answers in one sealed file."""
     from ..blind.make import make_blind  # kept out of the way of the other verbs' start
 
     with progress_of("make cases") as progress:
-        manifest = make_blind(folder, seed, cases, suite, logs or [], jobs or _cores(), progress, layout)
+        manifest = make_blind(folder, seed, cases, suite, logs or [], jobs or _cores(), progress, layout, own_simulator)
     out.print(f"{len(manifest.cases)} cases in {folder / 'cases'}; answers sealed, sha256 {manifest.answers_sha256}")
 
 

@@ -43,6 +43,18 @@ def test_a_healthy_recording_is_told_no_fault_of_its_numbers_or_clocks(seed: int
 
 
 @few
+@given(st.integers(2, 4), st.integers(5, 20), st.integers(200, 400), st.floats(1.0, 50.0))
+def test_ramps_between_holds_are_no_wraps(ramps: int, samples: int, hold: int, size: float) -> None:
+    """The samples of a quick ramp are all alike and far above those of a hold, but none is half of the range."""
+    one = np.concatenate([[0.5], np.ones(samples), [0.5], np.zeros(hold)])  # begins and ends between two samples
+    steps = np.concatenate([np.zeros(hold), *((-1) ** k * one for k in range(ramps))])
+    travel = np.cumsum(steps)
+    trial = Trial(0.04 * np.arange(travel.size), travel / samples, 48.0 + size * travel)
+    assert not said(check(trial), "numbers")
+    require_sound(trial)
+
+
+@few
 @given(seeds, st.sampled_from([np.pi, 2 * np.pi, 180.0, 360.0, *(2.0**bits for bits in range(8, 33))]), st.booleans())
 def test_a_wrap_is_named_and_its_key_takes_it_out(seed: int, modulus: float, signed: bool) -> None:
     random = np.random.default_rng(seed)
