@@ -131,6 +131,8 @@ def test_output_is_read_from_a_column_or_from_files_of_the_same_names(tmp_path: 
     write_csv(played, tmp_path / "played" / "a.csv")
     (joined,) = with_simulated([without_output(beside)], tmp_path / "played", lambda file: read_trials(file)[0])
     np.testing.assert_allclose(as_simulated(joined).angle, as_simulated(trial).angle, atol=1e-3)
+    (again,) = with_simulated([without_output(beside)], tmp_path / "logs", lambda file: read_trials(file)[0])
+    np.testing.assert_array_equal(as_simulated(again).angle, as_simulated(beside).angle)
     assert not have_simulated([without_output(beside)])
 
 
