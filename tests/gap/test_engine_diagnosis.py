@@ -145,7 +145,9 @@ def test_the_result_has_the_fixed_form() -> None:
         "unit",
         "command_unit",
     }
-    assert set(read) == set(KEYS) | {"reason", "notes", "next_motion", "tracking"} | second
+    third = {"simulator", "stand_in_rmse_deg"}
+    assert set(read) == set(KEYS) | {"reason", "notes", "next_motion", "tracking"} | second | third
+    assert (read["simulator"], read["stand_in_rmse_deg"]) == ("given", None)
     assert (read["order"], read["untestable"]) == ("known", [])
     assert read["stability"] == 1.0
     assert read["resamples"] >= 8

@@ -176,12 +176,14 @@ def states(*results: IdentifyResult) -> dict[str, tuple[float, str, int]]:
 
 
 def test_bars_count_what_they_say() -> None:
-    found = states(result(0), result(1, found={"delay": (0.1, 0.0, 0.2)}))
+    found = states(result(0), result(1, found={"delay": (0.1, 0.05, 0.2)}))
     assert found["ratio to the best tuned rival: median"] == (0.5, "met", 2)
     assert found["lag within its 90 % interval"] == (0.5, "missed", 2)
     assert found["creep within its 90 % interval"] == (0.0, "missed", 2)
     assert found["delay within its 90 % interval"][1:] == ("not measured", 0)
     assert found["delay invented"] == (0.5, "missed", 2)
+    unsure = states(result(0), result(1, found={"delay": (0.1, -0.05, 0.2)}))
+    assert unsure["delay invented"] == (0.0, "met", 2)  # the report says that it may be none
     assert found["lag invented"][2] == 0
     assert found["settled hold time at rest"][:2] == (1.0, "met")
     assert found["samples beyond a limit, all controllers"][:2] == (0.0, "met")

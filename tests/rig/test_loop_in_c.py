@@ -397,7 +397,7 @@ def test_a_reference_that_fails_leaves_the_samples_to_python(tmp_path: Path, mon
         return at(self, t)
 
     monkeypatch.setattr(GivenReference, "at", failing)
-    result = run(Tip(), tmp_path, Kept(), cycles=1)
+    result = run(Tip(), tmp_path, Kept())
     assert result.outcome.left_c["no further reference"] >= 1
     assert not result.outcome.cause
     assert time.monotonic() - begun < 60.0
