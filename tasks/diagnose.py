@@ -116,7 +116,7 @@ def _stand_in(recorded: Sequence[Trial], progress: Progress) -> Simulator | Load
     if not have_simulated(recorded):
         unit = recorded[0].units.angle
         raise ConfigError(
-            f"diagnose: got no simulator, expected --sim SIM, or the output of your own simulator: --simulated FOLDER "
+            "diagnose: got no simulator, expected --sim SIM, or the output of your own simulator: --simulated FOLDER "
             f"or a column {SIMULATED}_{unit} in the logs"
         )
 
@@ -125,4 +125,7 @@ def _stand_in(recorded: Sequence[Trial], progress: Progress) -> Simulator | Load
         progress(done, total, "fitting a stand-in of your simulator")
 
     rate_hz = min(DEFAULT_RATE_HZ, *(1.0 / trial.dt for trial in recorded))
-    return fit("auto", [as_simulated(trial) for trial in recorded], rate_hz=rate_hz, progress=fitting).simulator
+    fitted = fit("auto", [as_simulated(trial) for trial in recorded], rate_hz=rate_hz, progress=fitting)
+    if fitted.identified.interrupted:  # Ctrl-C ends the diagnosis, not only the search for a stand-in
+        raise KeyboardInterrupt
+    return fitted.simulator

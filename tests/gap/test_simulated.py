@@ -121,6 +121,18 @@ def test_a_stand_in_is_made_where_none_is_given(tmp_path: Path) -> None:
         hystmpc.diagnose(logs)
 
 
+def test_ctrl_c_ends_a_diagnosis_that_still_fits_its_stand_in(tmp_path: Path) -> None:
+    """A fit keeps what it has so far; a diagnosis by half a stand-in would be a false claim."""
+
+    def stopped(done: float, total: float, note: str = "", /) -> None:
+        if "stand-in" in note and done > 0.1 * total:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        hystmpc.diagnose(trials_of(seconds=12.0), out=tmp_path / "d", progress=stopped)
+    assert not (tmp_path / "d").exists()
+
+
 def test_output_is_read_from_a_column_or_from_files_of_the_same_names(tmp_path: Path) -> None:
     trial = trials_of(seconds=10.0)[0]
     (beside,) = read_trials(write_csv(trial, tmp_path / "logs" / "a.csv"))
