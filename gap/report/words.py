@@ -360,6 +360,8 @@ def next_actions(data: ReportData) -> tuple[str, ...]:
             f"{names} is then named with an expected probability of {percent(motion.expected_probability)}.",
             "Look at its command below before the device plays it.",
         ]
+        if diagnosis.simulator == "stand_in":
+            said.append("Let your simulator play what was recorded, too: every log needs its output.")
     elif diagnosis.verdict == "too_little":
         said.append("Record more motion of this device and diagnose all logs together.")
     elif diagnosis.verdict in ("one_of", "unknown") and not _unrelated(data):

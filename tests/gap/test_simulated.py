@@ -117,6 +117,7 @@ def test_a_stand_in_is_made_where_none_is_given(tmp_path: Path) -> None:
     page = (tmp_path / "d" / "report.html").read_text(encoding="utf-8")
     assert "simulator of your own" in page
     assert "Build creep into your simulator" in page
+    assert ("Let your simulator play what was recorded, too" in page) == (found.next_motion is not None)
     with pytest.raises(ConfigError, match="or a column simulated_deg in the logs"):
         hystmpc.diagnose(logs)
 
