@@ -58,9 +58,11 @@ def compiled(folder: Path, level: str | None = None) -> Any:
 def bound(library: ctypes.CDLL, folder: Path, level: str | None = None) -> Any:
     """Functions of a library whose prototypes stand in the headers of a folder, behind `HYSTMPC_API`."""
     functions = SimpleNamespace()
-    copyreg.pickle(library._FuncPtr, _by_name)
+    pointer: Any = library._FuncPtr
+    kind = type("_Function", (_Interruptible, pointer), {"_flags_": pointer._flags_, "_restype_": ctypes.c_int})
+    copyreg.pickle(kind, _by_name)
     for result, name, arguments in _prototypes(folder):
-        function: Any = library[name]
+        function: Any = kind((name, library))
         function.argtypes = [_argument(words) for words in arguments]
         function.restype = None if result == "void" else ctypes.c_char_p if "*" in result else _NUMBERS[result]
         function.home = folder, level, name.removeprefix("hystmpc_")
@@ -75,6 +77,19 @@ def _by_name(function: Any) -> tuple[Any, ...]:
 
 def _function(folder: Path, level: str | None, name: str) -> Any:
     return getattr(compiled(folder, level), name)
+
+
+class _Interruptible:
+    """A function whose call is ended by Ctrl-C as any other: ctypes makes an `ArgumentError` of a Ctrl-C that comes
+    while an argument is converted, and a search that keeps its best on Ctrl-C would lose it."""
+
+    def __call__(self, *arguments: Any) -> Any:
+        try:
+            return super().__call__(*arguments)  # type: ignore[misc]
+        except ctypes.ArgumentError as error:
+            if "KeyboardInterrupt" in str(error):
+                raise KeyboardInterrupt from None
+            raise
 
 
 class HoldsAddresses:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -84,3 +85,14 @@ def test_an_array_that_may_not_be_written_is_read() -> None:
     array = np.eye(3, k=-1)
     array.flags.writeable = False
     assert engine().first_acting(array, 3) == 1
+
+
+def test_ctrl_c_while_an_argument_is_converted_is_no_error_of_the_argument() -> None:
+    class Interrupted:
+        @property
+        def dtype(self) -> np.dtype[np.float64]:
+            signal.raise_signal(signal.SIGINT)
+            return np.dtype(float)
+
+    with pytest.raises(KeyboardInterrupt):
+        engine().first_acting(Interrupted(), 3)
