@@ -59,7 +59,7 @@ def bound(library: ctypes.CDLL, folder: Path, level: str | None = None) -> Any:
     """Functions of a library whose prototypes stand in the headers of a folder, behind `HYSTMPC_API`."""
     functions = SimpleNamespace()
     pointer: Any = library._FuncPtr
-    kind = type("_Function", (_Interruptible, pointer), {"_flags_": pointer._flags_, "_restype_": ctypes.c_int})
+    kind: Any = type("_Function", (_Interruptible, pointer), {"_flags_": pointer._flags_, "_restype_": ctypes.c_int})
     copyreg.pickle(kind, _by_name)
     for result, name, arguments in _prototypes(folder):
         function: Any = kind((name, library))
