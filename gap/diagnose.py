@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from .decide.stability import stability_of
 from .diagnosis import DetectableSizes, Diagnosis, IdentifiedEffect, Untestable
 from .logs.detectable import smallest_detectable
 from .logs.preparation import PreparedTrials, prepare
+from .logs.simulated import as_simulated
 from .logs.trial_choice import NEEDS_ORDER
 from .next.open_hypotheses import next_step, unseparated
 from .residual import Localisation, explainable_share, localise
@@ -35,6 +36,9 @@ from .residual import Localisation, explainable_share, localise
 if TYPE_CHECKING:
     from .report.report_data import ReportData
 
+
+Play: TypeAlias = Callable[[Sequence[Trial]], Sequence[Trial]]
+"""Gives trials the output of the user's simulator for their commands as a channel, see `logs.simulated`."""
 
 _STEPS, _CONCLUDED = 100, 97  # of the progress
 _LEFT_BY_A_ROUND = 0.6  # of the progress of the selection
@@ -305,6 +309,21 @@ def _effects(
     return tuple(decades.log_sizes(effect) for effect in effects)
 
 
+def _with_replays(findings: Findings, data: ReportData, play: Play | None) -> ReportData:
+    """Data with the commands for the user's simulator to play and, where it has played them, what they confirm."""
+    from .replay import confirmed_shares, replays_of
+
+    if data.diagnosis.simulator == "given":
+        return data
+    replays, diagnosis = replays_of(findings), data.diagnosis
+    diagnosis = replace(diagnosis, replay=tuple(trial.source for trial in replays.trials))
+    if play is not None and replays.each:
+        outputs = [as_simulated(trial) for trial in play(replays.trials)]
+        shares, rmse = confirmed_shares(findings, replays, outputs)
+        diagnosis = replace(diagnosis, confirmed=shares, confirmed_rmse_deg=rmse)
+    return replace(data, diagnosis=diagnosis, replays=replays.trials)
+
+
 @dataclass(frozen=True, eq=False)
 class DiagnosisResult:
     """Result of a diagnosis with the results of its steps."""
@@ -330,6 +349,7 @@ def diagnose_trials(
     only: Sequence[str] | None = None,
     ordered: bool = True,
     skip_first_flexure: bool = False,
+    play: Play | None = None,
     progress: Progress | None = None,
     say: Callable[[str], None] | None = None,
 ) -> DiagnosisResult:
@@ -339,6 +359,7 @@ def diagnose_trials(
         out: folder for report, corrected simulator and next motion; nothing is written if left out.
         called: further facts on the call, stored in the folder with the arguments below.
         model: file of the simulator; the folder stores its SHA-256, the report its name.
+        play: gives the output of the user's simulator for the commands of a replay, see `replay`.
         trials, simulator, seed, without, only, ordered, skip_first_flexure, progress, say: see `find_causes`.
 
     Raises:
@@ -361,7 +382,7 @@ def diagnose_trials(
         ordered=ordered,
         skip_first_flexure=skip_first_flexure,
     )
-    data = with_tracking(conclude(findings, progress)[1], progress)
+    data = with_tracking(_with_replays(findings, conclude(findings, progress)[1], play), progress)
     if model is not None:
         stands_in = data.diagnosis.simulator == "stand_in"
         data = replace(data, simulator=f"of your own, stand-in {model.name}" if stands_in else model.name)

@@ -67,6 +67,18 @@ class IdentifiedEffect:
 
 
 @dataclass(frozen=True)
+class ConfirmedShare:
+    """Share of the structural gap that an effect closes in the user's own simulator, after a replay.
+
+    Attributes:
+        ci90: 90 % interval, as that of `IdentifiedEffect.closed_ci90`.
+    """
+
+    closed_share: float
+    ci90: Interval
+
+
+@dataclass(frozen=True)
 class Gap:
     """Sizes of the gap on the final trials, which were not used for any choice.
 
@@ -282,6 +294,10 @@ class Diagnosis:
         command_unit: of the command as logged.
         simulator: given | stand_in: whether the simulator was run, or the logs hold the output of the user's own.
         stand_in_rmse_deg: error of the stand-in on that output [deg]; None for a given simulator.
+        replay: files of the folder `replay`: the commands of the final trials behind the named effects, for the user's
+            simulator to play.
+        confirmed: by effect, after a replay; effects in the core or on the output cannot be replayed.
+        confirmed_rmse_deg: on the final trials, with all effects and the replayed output [deg]; None before a replay.
     """
 
     verdict: Verdict
@@ -306,6 +322,9 @@ class Diagnosis:
     command_unit: str = "mm"
     simulator: Literal["given", "stand_in"] = "given"
     stand_in_rmse_deg: float | None = None
+    replay: tuple[str, ...] = ()
+    confirmed: Mapping[str, ConfirmedShare] = field(default_factory=dict)
+    confirmed_rmse_deg: float | None = None
 
     def __repr__(self) -> str:
         return in_brief(self, f"{self.verdict}: {self.reason}")

@@ -2,32 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.files import figures_to, require_writable
 from hystmpc.trials.read import AnyLayout
 from hystmpc.trials.recording import recorded_trials
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress, parts
 
-from .inputs import Logs, Model, Say, as_list, chain_or_model, warn_of_units
+from .inputs import Logs, Model, Say, allow_classes, as_list, chain_or_model, processes, warn_of_units
 from .outputs import check_figures
 
 if TYPE_CHECKING:
+    from hystmpc.gap.diagnose import Play
     from hystmpc.gap.diagnosis import Diagnosis
+    from hystmpc.gap.own_simulator import OwnSimulator
     from hystmpc.models.model import LoadedModel
     from hystmpc.models.simulator import Simulator
 
 
 def diagnose(
     trials: Logs,
-    simulator: Model | None = None,
+    simulator: Model | OwnSimulator | None = None,
     out: Path | str | None = None,
     *,
     simulated: Path | str | None = None,
+    confirm: Path | str | None = None,
     layout: AnyLayout = "auto",
     seed: int = 1,
     without: Sequence[str] = (),
@@ -35,6 +40,8 @@ def diagnose(
     ordered: bool = False,
     skip_first_flexure: bool = False,
     figures: Path | str | None = None,
+    jobs: int | None = None,
+    allow_python: bool = False,
     progress: Progress | None = None,
     say: Say | None = None,
 ) -> Diagnosis:
@@ -43,10 +50,12 @@ def diagnose(
     Args:
         trials: logs, data frames or trials of one device.
         simulator: a fit, simulator, opened model or file. Where the logs hold the output of a simulator of your own,
-            its stand-in; `fit auto` makes one from that output if this is left out.
+            its stand-in; `fit auto` makes one from that output if this is left out. Or your own simulator itself: an
+            object with `run(command, dt)`, an FMU, or a file `simulator: {python: MODULE:CLASS}`.
         out: folder to write: new, empty, or an older diagnosis; without it nothing is written.
         simulated: folder with the output of your own simulator: files of the names of the logs, with their commands; a
             column simulated_deg (or of the angle's unit) in the logs does the same.
+        confirm: folder with the output of your own simulator for the commands in replay/ of this diagnosis.
         layout: layout of the logs: auto, canonical, tendon-catheter, or a mapping file *.yaml.
         seed: seed of everything drawn at random.
         without: leave this effect out of the library.
@@ -55,6 +64,8 @@ def diagnose(
             result does not depend on the order given.
         skip_first_flexure: count each trial only from the command's first reversal on.
         figures: new folder for every figure of the report: SVG, PDF, and its data as CSV.
+        jobs: processes in which a simulator of your own runs; else one a core.
+        allow_python: import the class that the file of your own simulator names; you trust it.
         progress: called with completed steps, total steps and the present step.
         say: called with each note and warning.
 
@@ -67,6 +78,7 @@ def diagnose(
             written.
     """
     from hystmpc.gap.logs.simulated import with_simulated
+    from hystmpc.gap.own_simulator import played
     from hystmpc.gap.report.folder import require_free
     from hystmpc.models.load import model_path
 
@@ -74,12 +86,22 @@ def diagnose(
     if out is not None:
         require_writable(out)
         require_free(out)
-    chain = None if simulator is None else chain_or_model(simulator)
+    own = _own_simulator(simulator, allow_python)
+    if own is not None and (simulated is not None or confirm is not None):
+        raise ConfigError("diagnose: got a simulator that can be run, expected no --simulated and no --confirm with it")
+    chain = None if simulator is None or own is not None else chain_or_model(simulator)
     recorded = recorded_trials(as_list(trials), layout)
     if simulated is not None:
-        recorded = with_simulated(recorded, Path(simulated), lambda file: recorded_trials(file, layout)[0])
+        recorded = with_simulated(recorded, Path(simulated), _output_reader(layout))
     if say is not None:
         warn_of_units(recorded, say)
+    play: Play | None = None
+    if own is not None:
+        first, progress = parts(progress, (1.0, 2.0))
+        play = partial(played, own, jobs=processes(jobs))
+        recorded = played(own, recorded, processes(jobs), first)
+    elif confirm is not None:
+        play = partial(with_simulated, folder=Path(confirm), read=_output_reader(layout))
     if chain is None:
         first, progress = parts(progress, (1.0, 1.0))
         chain = _stand_in(recorded, first)
@@ -93,18 +115,46 @@ def diagnose(
             called={
                 "sim": None if simulator is None else str(simulator),
                 "simulated": None if simulated is None else str(simulated),
+                "confirm": None if confirm is None else str(confirm),
                 "layout": str(layout),
             },
-            model=Path(model_path(str(simulator))) if isinstance(simulator, Path | str) else None,
+            model=Path(model_path(str(simulator))) if own is None and isinstance(simulator, Path | str) else None,
             seed=seed,
             without=tuple(without),
             only=None if only is None else tuple(only),
             ordered=ordered,
             skip_first_flexure=skip_first_flexure,
+            play=play,
             progress=progress,
             say=say,
         )
     return done.diagnosis
+
+
+def _own_simulator(given: object, allow_python: bool) -> OwnSimulator | Path | None:
+    """The user's own simulator, or the file that names it; None for a model."""
+    from hystmpc.gap.own_simulator import OwnSimulator, names_own_simulator, open_simulator
+    from hystmpc.models.model import LoadedModel
+
+    if isinstance(given, Path | str):
+        if not names_own_simulator(Path(given)):
+            return None
+        allow_classes(allow_python)
+        open_simulator(Path(given))  # a fault of the file is told before the logs are read
+        return Path(given)
+    return given if isinstance(given, OwnSimulator) and not isinstance(given, LoadedModel) else None
+
+
+def _output_reader(layout: AnyLayout) -> Callable[[Path], Trial]:
+    """Reader of a file with the output of a simulator, as `simulated_UNIT` or as the angle."""
+    from hystmpc.gap.logs.simulated import PLAYED
+
+    def read(file: Path) -> Trial:
+        with suppress(LogError):
+            return recorded_trials(file, PLAYED)[0]
+        return recorded_trials(file, layout)[0]
+
+    return read
 
 
 def _stand_in(recorded: Sequence[Trial], progress: Progress) -> Simulator | LoadedModel:

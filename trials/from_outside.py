@@ -6,6 +6,7 @@ names given by the calling program, and names that the user has confirmed; none 
 
 from __future__ import annotations
 
+import inspect
 import os
 import re
 import sys
@@ -159,6 +160,34 @@ def class_named(name: str, what: str, group: str, base: type[T]) -> type[T]:
 
     kind: type[T] = object_named(name, what, group, fits, wanted)
     return kind
+
+
+def made_by(kind: Callable[..., T], arguments: Mapping[str, Any], what: str) -> Callable[[], T]:
+    """Factory of an instance of a user's class, after a check of its arguments.
+
+    Args:
+        what: the class in a sentence, such as `transport mylab:Bus`.
+
+    Raises:
+        ConfigError: if the arguments do not fit.
+    """
+
+    def made() -> T:
+        with working_folder():  # a class may import more when it is made
+            return kind(**arguments)
+
+    try:
+        signature = inspect.signature(kind)
+    except ValueError:  # compiled, without one
+        return made
+    try:
+        signature.bind(**arguments)
+    except TypeError as error:
+        taken = list(signature.parameters)
+        wrong = next((key for key in arguments if key not in taken), "")
+        expected = did_you_mean(wrong, taken) if wrong else f"expected arguments: {', '.join(taken)}"
+        raise ConfigError(f"{what}: {error}, {expected}") from None
+    return made
 
 
 def installed_objects(group: str, what: str, kind: type[T], taken: Iterable[str]) -> dict[str, T]:

@@ -18,7 +18,7 @@ from hystmpc.models.identify.baseline import Baseline, FreeCoreBaseline, ScaledB
 from hystmpc.models.identify.cross_validation import Hypothesis, fit_problem
 from hystmpc.models.identify.free_run import StagedChain
 from hystmpc.models.identify.problem import Problem
-from hystmpc.models.identify.runs import Run, fingerprint, runs_of
+from hystmpc.models.identify.runs import Before, Run, fingerprint, runs_of
 from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import Identification, Simulator
 from hystmpc.models.start import Runs, TrialStart, estimated_start, motion_line, search_box, trial_start
@@ -210,10 +210,11 @@ def _baseline_and_runs(
         if played is None:
             runs = corrected_to_simulator_rate(runs, given, chain, simulator_chain, simulator.dt_s)
         else:
-            alone = _with_starts(baseline, runs_of(played, None, before), simulator, decades)
-            runs = _corrected_to_output(runs, alone, Problem(baseline))
+            runs = _corrected(runs, output_corrections(baseline, simulator, decades, played, before))
     else:
         baseline, corrections = _network_baseline(simulator, repaired_trials, command, decades, played)
+        if played is not None:
+            corrections = output_corrections(baseline, simulator, decades, played, before)
         runs = runs_of(repaired_trials, corrections, before)
     if signs.spikes or signs.drops:
         problem, pairs = Problem(baseline), zip(runs, trials, strict=True)
@@ -221,12 +222,26 @@ def _baseline_and_runs(
     return baseline, runs
 
 
-def _corrected_to_output(runs: Sequence[Run], played: Sequence[Run], stand_in: Problem) -> tuple[Run, ...]:
-    """Runs with a correction: output of the user's simulator minus that of its stand-in, from the simulator's start."""
-    return tuple(
-        replace(run, correction=output.angle - stand_in.angles(stand_in.as_given, output))
-        for run, output in zip(runs, played, strict=True)
-    )
+def output_corrections(
+    baseline: Baseline,
+    simulator: Simulator | LoadedModel,
+    decades: Decades,
+    played: Sequence[Trial],
+    before: Sequence[Before],
+) -> list[Vec]:
+    """Output (T,) of the user's simulator minus that of its stand-in on each command, from the simulator's start [deg].
+
+    Args:
+        played: commands with the simulator's output as their angle, in working units, as `before` is.
+    """
+    runs, stand_in = runs_of(played, None, before), Problem(baseline)
+    if isinstance(simulator, Simulator):
+        runs = _with_starts(baseline, runs, simulator, decades)
+    return [run.angle - stand_in.angles(stand_in.as_given, run) for run in runs]
+
+
+def _corrected(runs: Sequence[Run], corrections: Sequence[Vec]) -> tuple[Run, ...]:
+    return tuple(replace(run, correction=correction) for run, correction in zip(runs, corrections, strict=True))
 
 
 def _with_starts(baseline: Baseline, runs: Sequence[Run], simulator: Simulator, decades: Decades) -> tuple[Run, ...]:

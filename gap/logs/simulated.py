@@ -19,11 +19,22 @@ from pathlib import Path
 import numpy as np
 
 from hystmpc.trials.errors import GapError
+from hystmpc.trials.layouts import CANONICAL, OUTPUT_COLUMN, Layout
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 SIMULATED = "simulated"
 """Channel with the output of the user's simulator; `simulated_UNIT`, as `simulated_deg`, in a log."""
+
+PLAYED = Layout(
+    name="simulated",
+    summary="time_s, command (or command_mm, command_bar, ...), simulated_deg (or simulated_mm, ...)",
+    time=CANONICAL.time,
+    command=CANONICAL.command,
+    angle=f"{SIMULATED}_deg",
+    other_angles={f"{SIMULATED}_{unit}": unit for unit in OUTPUT_COLUMN if unit != "deg"},
+)
+"""Columns of a file with the output of a simulator and no measured angle."""
 
 _SAME_COMMAND = 0.01  # of the command's range, RMS: rounding and another clock stay below
 
@@ -70,16 +81,23 @@ def as_simulated(trial: Trial) -> Trial:
     return replace(trial, angle=simulated_angle(trial), channels={})
 
 
+def with_output(trial: Trial, output: Vec) -> Trial:
+    """Trial with the output (T,) of the user's simulator as a channel, in place of an older one."""
+    channels: Mapping[str, Vec] = {**trial.channels, SIMULATED: output}
+    kept = {name: values for name, values in channels.items() if name != f"{SIMULATED}_{trial.units.angle}"}
+    return replace(trial, channels=kept)
+
+
 def with_simulated(trials: Sequence[Trial], folder: Path, read: Callable[[Path], Trial]) -> list[Trial]:
     """Trials with the simulator's output from the files of a folder that have the same names.
 
     Args:
-        read: reads one file; its column `simulated_UNIT` counts, else its angle.
+        read: reads one file; its channel `simulated_UNIT` counts, else its angle.
 
     Raises:
         GapError: if a file is missing, is of another command, or ends before the trial.
     """
-    return [_with_output(trial, read(_same_name(trial, folder))) for trial in trials]
+    return [_joined(trial, read(_same_name(trial, folder))) for trial in trials]
 
 
 def _same_name(trial: Trial, folder: Path) -> Path:
@@ -89,7 +107,7 @@ def _same_name(trial: Trial, folder: Path) -> Path:
     return file
 
 
-def _with_output(trial: Trial, played: Trial) -> Trial:
+def _joined(trial: Trial, played: Trial) -> Trial:
     if played.units != trial.units:
         got, wanted = played.units, trial.units
         raise GapError(
@@ -106,9 +124,7 @@ def _with_output(trial: Trial, played: Trial) -> Trial:
     if off > _SAME_COMMAND * span:
         raise GapError(
             f"{played.source}: its command differs by {off:.3g} {trial.units.command} RMS from that of {trial.source}, "
-            f"expected the recorded command, within {100 * _SAME_COMMAND:g} % of its range"
+            f"expected the same command, within {100 * _SAME_COMMAND:g} % of its range"
         )
     output = simulated_angle(played) if simulated_name(played) else played.angle
-    channels: Mapping[str, Vec] = {**trial.channels, SIMULATED: np.interp(trial.t, played.t, output)}
-    kept = {name: values for name, values in channels.items() if name != f"{SIMULATED}_{trial.units.angle}"}
-    return replace(trial, channels=kept)
+    return with_output(trial, np.interp(trial.t, played.t, output))

@@ -6,24 +6,29 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hystmpc.models.simulator import save_simulator
+from hystmpc.trials.csv_files import format_table
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.json_text import file_text, plain
 from hystmpc.trials.layouts import OUTPUT_COLUMN, command_column
 from hystmpc.trials.run_folder import RunFolder
+from hystmpc.trials.trial import Trial
 
 from ..diagnosis import FIXED_FILE, FORMATS, MOTION_FILE, Diagnosis
 from ..next.motion_design import write_motion
 from .report_data import STAGES, ReportData
 
 DIAGNOSIS_FILE, GIVEN_FILE = "diagnosis.json", "sim.given.yaml"
+REPLAY_FOLDER = "replay"
+"""Folder with the commands for the user's own simulator, within that of the diagnosis."""
+
 _SOMETIMES = (FIXED_FILE, GIVEN_FILE, MOTION_FILE, "log.mcap")
 _GAP_S = 1.0  # between trials in one log
 
@@ -82,6 +87,7 @@ def save_diagnosis(
             os.replace(made / name, target / name)
         for name in set(_SOMETIMES) - set(names):
             (target / name).unlink(missing_ok=True)
+        _write_replays(data.replays, target / REPLAY_FOLDER)
     finally:
         shutil.rmtree(made, ignore_errors=True)
     return target
@@ -105,6 +111,26 @@ def _write(data: ReportData, run: RunFolder) -> None:
     from .page import write_report  # imports matplotlib
 
     write_report(data, run.path)
+
+
+def _write_replays(replays: Sequence[Trial], folder: Path) -> None:
+    """Write a file of each command, `time_s` and the command, in place of older ones.
+
+    A file with more columns holds the output of the user's simulator, and is left as it is.
+    """
+    for old in folder.glob("*.csv"):
+        if _columns(old) == 2:
+            old.unlink()
+    for trial in replays:
+        folder.mkdir(exist_ok=True)
+        columns = {"time_s": np.round(trial.t, 9), command_column(trial.units.command): trial.command}
+        if not (folder / trial.source).exists():
+            write_atomically(folder / trial.source, format_table(columns))
+
+
+def _columns(file: Path) -> int:
+    with file.open(encoding="utf-8", errors="replace") as text:
+        return len(text.readline().split(","))
 
 
 def _log(data: ReportData) -> dict[str, Any]:

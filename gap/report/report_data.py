@@ -109,6 +109,7 @@ class ReportData:
         proposal: next motion to record; None if no hypothesis is open.
         fixed: the corrected simulator, if it can be written as one.
         curves: closed loops before and after the correction; empty if not simulated.
+        replays: commands for the user's own simulator to play; their source is the name of the file.
     """
 
     diagnosis: Diagnosis
@@ -126,6 +127,7 @@ class ReportData:
     seconds: Mapping[str, float] = field(default_factory=dict)
     nominal: Simulator | None = None
     curves: tuple[TrackingCurve, ...] = ()
+    replays: tuple[Trial, ...] = ()
 
     @property
     def final(self) -> tuple[TrialRuns, ...]:

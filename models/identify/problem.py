@@ -151,7 +151,7 @@ class Problem:
         self._core = slice(at[core], at[core + 1])
         first = core + 1 + len(nominal.after)
         owners = [*((c, k) for k, (c, _) in enumerate(leading)), *((c, first + k) for k, (c, _) in enumerate(trailing))]
-        self._before = slice(0, states[core])
+        self._before, self._leading = slice(0, states[core]), len(leading)
         self._carried = [(c.carries, states[k]) for c, k in owners if c.carries]
         kept = {
             k for name, indices in baseline.effects.items() if name not in self._in_core() for k in indices.values()
@@ -240,6 +240,17 @@ class Problem:
         state = self._start(together, p, np.empty((p.size, 0)))[0]
         theta = self._staged.simulate(together.command[:, None], run.dt_s, state, p)[0][together.recorded, 0]
         return np.asarray(theta + run.correction, dtype=np.float64)
+
+    def filtered(self, q: Vec, run: Run) -> Vec:
+        """Commands (T,) of a run behind the effects on its side, as the nominal simulator gets them [cmd]."""
+        if not self._leading:
+            return run.command
+        *others, last = self.chain.operators[: self._leading]
+        front, p = Chain(last, tuple(others)), self._values(q)[0]
+        together = RunsTogether.of([run])
+        state = self._start(together, p, np.empty((p.size, 0)))[0][: front.state_size]
+        commands, values = together.command[:, None], p[: len(front.parameters)]
+        return StagedChain(front).simulate(commands, run.dt_s, state, values)[0][together.recorded, 0]
 
     def linearised(self, q: Vec, run: Run) -> tuple[Vec, Vec]:
         """Angles (T,) and their derivative (T, Q)."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
@@ -15,8 +14,8 @@ from typing import Any, ClassVar, Literal, TypeVar, final
 import numpy as np
 from pydantic import ConfigDict, Field, PrivateAttr
 
-from hystmpc.trials.errors import ConfigError, did_you_mean
-from hystmpc.trials.from_outside import MODULE_AND_CLASS, class_named, working_folder
+from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.from_outside import MODULE_AND_CLASS, class_named, made_by
 
 from ..safety.stop import cause_of
 from .transport import Reading, RunContext, Transport, TransportBase
@@ -290,26 +289,7 @@ class PythonSettings(TransportBase):
 
     def _make(self) -> Callable[[], Any]:
         """Factory of the transport, after checks of class, methods and arguments."""
-
-        def made() -> Any:
-            with working_folder():  # a class may import more when it is made
-                return kind(**arguments)
-
-        kind, arguments = class_named(self.python, "transport", GROUP, object), dict(self.model_extra or {})
+        kind = class_named(self.python, "transport", GROUP, object)
         if missing := missing_methods(kind):
             raise ConfigError(f"transport {self.python}: {missing_text(missing)}")
-        try:
-            signature = inspect.signature(kind)
-        except ValueError:  # compiled, without one
-            return made
-        try:
-            signature.bind(**arguments)
-        except TypeError as error:
-            expected = _expected(arguments, list(signature.parameters))
-            raise ConfigError(f"transport {self.python}: {error}, {expected}") from None
-        return made
-
-
-def _expected(arguments: Mapping[str, Any], taken: list[str]) -> str:
-    wrong = next((key for key in arguments if key not in taken), "")
-    return did_you_mean(wrong, taken) if wrong else f"expected arguments: {', '.join(taken)}"
+        return made_by(kind, dict(self.model_extra or {}), f"transport {self.python}")
