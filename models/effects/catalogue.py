@@ -42,6 +42,7 @@ def _lag(s: Scale) -> list[Candidate]:
     one, ways = Lag(0.1, hold=1), Lag(0.1, (0.1,), 1)
     return [
         Candidate("lag", "command", "command", 20, (one,), free, starts),
+        Candidate("lag", "held commands", "command", 20, (Lag(0.1),), free, starts),
         Candidate("lag", "output", "output", 50, (one,), free, starts),
         Candidate("lag", "servo", "command", 20, (Servo(0.1, 0.7),), damped, ringing),
         Candidate("lag", "servo, output", "output", 50, (Servo(0.1, 0.7),), damped, ringing),
