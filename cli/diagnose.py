@@ -26,9 +26,10 @@ _PACE: Pace = ((0, 0), (0.05, 0.12), (0.34, 0.31), (0.51, 0.44), (0.62, 0.57), (
 @verb(
     "diagnose:diagnose",
     trials={"metavar": "LOG...", "help": "Trials of one device, or folders of *.csv.", **OPTIONAL},
-    simulator={**SIM, **OPTIONAL},
+    simulator={"help": f"{SIM['help'].rstrip('.')}; or your own: an .fmu, or a .yaml that names a class.", **OPTIONAL},
     out={"help": "Folder to write: new, empty, or an older diagnosis."},
     seed={"min": 0},
+    jobs={"min": 1},
 )
 def diagnose(
     call: Call,
@@ -66,6 +67,7 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
     said = (
         words.closed_sentence,
         words.stand_in_sentence,
+        words.confirmed_sentence,
         words.mis_set_sentence,
         words.stability_sentence,
         words.tracking_sentence,

@@ -353,6 +353,11 @@ def next_actions(data: ReportData) -> tuple[str, ...]:
     tracking = diagnosis.tracking
     if tracking is not None and not tracking.why_not and not diagnosis.relies_on_its_split:
         said.append(tracking_sentence(diagnosis))
+    if diagnosis.replay and diagnosis.confirmed_rmse_deg is None:
+        said.append(
+            "Let your simulator play the commands of the folder replay, and diagnose again with --confirm and the "
+            "folder of its output: that says how far the gap shrinks in your simulator."
+        )
     if motion is not None:
         names = listed([in_words(name) for name in motion.separates], "and")
         said += [
@@ -380,6 +385,22 @@ def stand_in_sentence(diagnosis: Diagnosis) -> str:
     )
 
 
+def confirmed_sentence(diagnosis: Diagnosis) -> str:
+    """Sentence on what a replay in the user's own simulator confirmed; empty before a replay."""
+    if diagnosis.confirmed_rmse_deg is None:
+        return ""
+    said = {effect.name: effect.closed_share for effect in diagnosis.effects}
+    each = [
+        f"{in_words(name)} closes {percent(one.closed_share)} of the gap in it ({percent(one.ci90[0])} to "
+        f"{percent(one.ci90[1])}), {percent(said[name])} were said"
+        for name, one in diagnosis.confirmed.items()
+    ]
+    rmse = _size(diagnosis.confirmed_rmse_deg, diagnosis.unit)
+    untried = [in_words(name) for name in said if name not in diagnosis.confirmed]
+    more = f" A replay cannot test {listed(untried, 'and')}: that acts behind the command." if untried else ""
+    return f"Your simulator has played the commands behind the effects: {'; '.join(each)}; the RMSE is {rmse}.{more}"
+
+
 def certainty(diagnosis: Diagnosis) -> tuple[str, ...]:
     """Texts on probability, stability over splits, interval, floor, and untestable effects."""
     untested = ""
@@ -392,6 +413,7 @@ def certainty(diagnosis: Diagnosis) -> tuple[str, ...]:
     chance = _probability(diagnosis), _disagreement(diagnosis)
     said = (
         stand_in_sentence(diagnosis),
+        confirmed_sentence(diagnosis),
         *chance,
         stability_sentence(diagnosis),
         _intervals(diagnosis),
