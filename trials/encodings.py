@@ -41,6 +41,7 @@ _LEAST = 10  # samples
 _LEAST_BIT = 7
 _SOFT = (0.0, -1.0)  # codes within the range of many signals: detected only by the jumps
 _ASKED = 0.1  # of the range of the command: a step in one sample that can cause a jump of the angle
+_KEPT = 0.1  # of the range of the command: a sensor that keeps one reading over more has held it
 _NO_WORSE = 1.3  # of the same, for jumps of an angle without a cause in its command
 _BETTER = 0.6  # of the variance left unexplained by the other signal, after a repair that counts
 
@@ -162,6 +163,8 @@ def _jumps(values: Vec, other: Vec, late: int, is_command: bool) -> Encoding | N
         return None
     before = _unexplained(signal, witness, late, is_command)
     at = tuple(int(index[k + 1]) for k in np.flatnonzero(big))
+    if not is_command and _held(signal, witness, np.flatnonzero(big)):
+        return None
     # Equal jumps of the angle without jumps of the command are no motion.
     unasked = not is_command and _unasked(witness, np.flatnonzero(big) + 1, late)
     if not unasked and np.count_nonzero(big) < _FEW:
@@ -175,6 +178,13 @@ def _jumps(values: Vec, other: Vec, late: int, is_command: bool) -> Encoding | N
             whole[index] = repaired
             best, limit = Encoding(key, value, at, whole), _CLEARLY * left
     return best
+
+
+def _held(signal: Vec, command: Vec, jumps: Index) -> bool:
+    """Whether at least half of the jumps end a time in which the sensor kept its reading while the command moved."""
+    changed = np.maximum.accumulate(np.where(np.diff(signal, prepend=np.nan) != 0, np.arange(signal.size), 0))
+    travels = [float(np.ptp(command[changed[k] : k + 1])) for k in jumps]
+    return float(np.median(travels)) > _KEPT * float(np.ptp(command))
 
 
 def _unasked(command: Vec, jumps: Index, late: int) -> bool:

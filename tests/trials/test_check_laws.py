@@ -54,6 +54,22 @@ def test_ramps_between_holds_are_no_wraps(ramps: int, samples: int, hold: int, s
     require_sound(trial)
 
 
+@settings(max_examples=100, deadline=None)
+@given(seeds)
+def test_a_sensor_that_holds_its_readings_for_long_does_not_wrap(seed: int) -> None:
+    """After each hold the reading jumps to where the device has gone meanwhile, which is no step of a wrap."""
+    random, dt = np.random.default_rng(seed), 0.04
+    command = 1.15 - 1.15 * np.cos(2 * np.pi * dt * np.arange(775) / random.uniform(3.0, 5.0))
+    angle = 25.0 * command - 11.0 + random.normal(0.0, 0.1, command.size)
+    first = 0
+    while first < angle.size:
+        last = first + round(random.uniform(1.0, 4.5) / dt)
+        angle[first:last] = angle[first]
+        first = last + random.integers(1, 20)
+    trial = Trial(dt * np.arange(command.size), command, angle)
+    require_sound(trial)
+
+
 @few
 @given(seeds, st.sampled_from([np.pi, 2 * np.pi, 180.0, 360.0, *(2.0**bits for bits in range(8, 33))]), st.booleans())
 def test_a_wrap_is_named_and_its_key_takes_it_out(seed: int, modulus: float, signed: bool) -> None:
