@@ -19,11 +19,12 @@ from hystmpc.models.identify.parts import core_forms
 from hystmpc.models.identify.runs import runs_of
 from hystmpc.models.identify.simulators import identify, simulator_of
 from hystmpc.models.simulator import Simulator
+from hystmpc.tasks.fit import fit
 from hystmpc.trials.errors import ConfigError, FitError
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
-from ..devices.cores import Core, Mounting, MuscleCore
+from ..devices.cores import RATE_HZ, Core, JointsCore, Mounting, MuscleCore
 from ..library import laboratory
 from .device import BlindDevice
 from .generators import CONFIGURATION, Withheld, generators_of
@@ -114,9 +115,10 @@ def _bench(
     moved: Callable[[Core], Core] | None,
 ) -> Bench:
     core = kind.draw(random)
-    drawn = str(random.choice(["backlash", "pi"]))
+    core = core.with_stribeck(random) if isinstance(core, JointsCore) else core
+    drawn = str(random.choice(["backlash", "pi", "auto"]))
     # The angle of a muscle saturates: either would miss it by a tenth of the range.
-    baseline = "curved" if isinstance(core, MuscleCore) else drawn
+    baseline = "curved" if isinstance(core, MuscleCore) and drawn != "auto" else drawn
     noise, resolution = float(random.choice([0.03, 0.06, 0.12])), 0.01
     nominal = BlindDevice(core, noise, resolution, int(random.integers(2**31)))
     recorded = nominal.record(draw_plan(random, "short", core.travel).commands)
@@ -135,7 +137,9 @@ def _bench(
 
 
 def _identified(baseline: str, trials: Sequence[Trial], travel: float) -> Simulator:
-    """Identify the simulator as `hystmpc fit`, but from one start instead of several."""
+    """Identify the simulator as `hystmpc fit`, but from one start instead of several, except for `auto`."""
+    if baseline == "auto":
+        return fit("auto", trials, rate_hz=RATE_HZ).simulator
     start = _start(baseline, trials)
     chain = fit_chain([start], trials, OperatorFitSettings(restarts=0, evaluations=30, tolerance=1e-5)).chain
     limits = DeviceLimits(Range(lower=0.0, upper=travel), _STROKES_PER_S * travel)

@@ -12,11 +12,22 @@ from hystmpc.trials.errors import ConfigError, did_you_mean
 from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Vec
 
-from ..devices.cores import PARTS, RATE_HZ, CapstanCore, Core, DahlCore, MuscleCore, RodCore, Scene, fine_times
+from ..devices.cores import (
+    PARTS,
+    RATE_HZ,
+    CapstanCore,
+    Core,
+    DahlCore,
+    JointsCore,
+    MuscleCore,
+    RodCore,
+    Scene,
+    fine_times,
+)
 from .generators import Site, Withheld
 
 PAUSE_S = 4.0
-DEVICES: tuple[type[Core], ...] = (CapstanCore, DahlCore, RodCore, MuscleCore)
+DEVICES: tuple[type[Core], ...] = (CapstanCore, DahlCore, RodCore, MuscleCore, JointsCore)
 """None of them is made of play operators."""
 
 

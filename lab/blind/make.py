@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import get_args
@@ -121,7 +121,9 @@ def device_of(suite: Suite, number: int) -> type[Core]:
     """Device of a case: devices alternate, shifted by one with every round of the suite's other choices."""
     rounds = {"single": len(LABELS), "unknown": len(FOREIGN_EFFECTS), "retuned": len(_MOVES), "without": 2}
     rounds |= {"configuration": len(_MEANT)}
-    place = (number + number // rounds.get(suite, len(DEVICES))) % len(DEVICES)
+    turn = rounds.get(suite, len(DEVICES))
+    shift = 1 if (turn + 1) % len(DEVICES) else 2  # every choice meets all devices
+    place = (number + shift * (number // turn)) % len(DEVICES)
     hidden = suite == "single" and LABELS[number % len(LABELS)] not in _labels(DEVICES[place])
     return DEVICES[(place + hidden) % len(DEVICES)]
 
@@ -218,7 +220,7 @@ def make_blind(
     jobs: int = 1,
     progress: Progress | None = None,
     layout: str = "auto",
-    own_simulator: bool = False,
+    own_simulator: int = 3,
 ) -> Manifest:
     """Make and seal a blind check; equal arguments give equal files.
 
@@ -227,7 +229,8 @@ def make_blind(
         cases: how many; one round of the suite, or of all suites, where left out.
         suite: one of `SUITES`, or `all`.
         logs: real logs of one device, or folders of them, for `injection`.
-        own_simulator: see `write_case`.
+        own_simulator: of so many cases one holds what the unaffected device gives, as a simulator of the user's own;
+            0 for none.
 
     Raises:
         ConfigError: on an unknown suite, an occupied folder, a count below 1, or an injection without logs.
@@ -248,9 +251,9 @@ def make_blind(
             name,
             number,
             real if name == "injection" else (),
-            own_simulator,
+            bool(own_simulator) and k % own_simulator == 0,
         )
-        for place, (name, number) in zip(order, wanted, strict=True)
+        for k, (place, (name, number)) in enumerate(zip(order, wanted, strict=True))
     ]
     backend = backend_for(jobs, where=str(folder))
     answers = dict(run_jobs(_make, todo, backend, total=count, progress=progress))
@@ -259,5 +262,7 @@ def make_blind(
 
 def _make(job: _CaseJob) -> tuple[str, Answer]:
     case = make_case(job.seed, job.suite, job.number, job.logs)
-    write_case(job.folder, case, job.own_simulator)
+    own = job.own_simulator and bool(case.unaffected)
+    case = replace(case, answer=case.answer.model_copy(update={"own_simulator": own}))
+    write_case(job.folder, case)
     return job.folder.name, case.answer

@@ -189,7 +189,14 @@ def _rates(score: Score) -> Iterator[Piece]:
         shown = [(name, rows) for name, rows in tables if rows]
         if shown:
             yield Plot(rates_figure(shown), caption)
-    for name in ("suite", "moved, regrouped or aliased", "left out class", "baseline"):
+    for name in (
+        "suite",
+        "moved, regrouped or aliased",
+        "left out class",
+        "baseline",
+        "simulator",
+        "model error over noise",
+    ):
         rows = [(key, f"{r.value:.2f}", r.cases) for key, r in score.groups[name].items()]
         if rows:
             yield Table((name, "right", "cases"), rows)

@@ -98,6 +98,8 @@ def score_of(cases: Sequence[ScoredCase]) -> Score:
             "recording plan": _by(single, lambda c: (c.answer.plan,)),
             "motion in the plan": _by(single, lambda c: tuple(sorted(set(c.answer.motions)))),
             "baseline": _by(single, lambda c: (c.answer.baseline,)),
+            "simulator": _by(cases, lambda c: ("the user's own" if c.answer.own_simulator else "a model",)),
+            "model error over noise": _by(cases, lambda c: (_model_error(c),), _MODEL_ERRORS),
             "device": _by(single, lambda c: (str(c.answer.device.get("core", "recorded")),)),
             "separable": _by(single, lambda c: ("separable" if c.answer.separable else "not separable",)),
             "moved, regrouped or aliased": _by(
@@ -127,6 +129,15 @@ def _by(
 def _size(case: ScoredCase) -> str:
     """Nominal ratio nearest to the measured one."""
     return f"{min(RATIOS, key=lambda r: abs(math.log(max(case.answer.ratio, 1e-3) / r))):g}"
+
+
+_MODEL_ERRORS = ("below 1", "1 to 2", "2 to 5", "above 5")
+
+
+def _model_error(case: ScoredCase) -> str:
+    """Range of the model-form error over the noise."""
+    ratio = case.answer.form_deg / max(case.answer.noise_deg, 1e-9)
+    return _MODEL_ERRORS[int(np.searchsorted((1.0, 2.0, 5.0), ratio, side="right"))]
 
 
 def _beside(single: Sequence[ScoredCase]) -> dict[str, float]:

@@ -86,6 +86,8 @@ class Answer(Settings):
         where: density of the retuned error by region, 1 on average.
         second: trials of the second configuration, numbered from 1.
         device, mounting, seed: of the simulated device, to record more of it.
+        baseline: kind of the simulator.
+        own_simulator: whether the logs hold what the unaffected device gives, as the user's own simulator.
     """
 
     suite: Suite
@@ -109,6 +111,7 @@ class Answer(Settings):
     mounting: dict[str, float] = Field(default_factory=dict)
     seed: int = 0
     baseline: str = ""
+    own_simulator: bool = False
 
     @property
     def mains(self) -> tuple[EffectAnswer, ...]:
@@ -169,14 +172,10 @@ class Manifest(Settings):
     without: dict[str, tuple[str, ...]]
 
 
-def write_case(folder: Path, case: Case, own_simulator: bool = False) -> None:
-    """Write logs and simulator of one case, with equal names and layout for every case.
-
-    Args:
-        own_simulator: whether the unaffected device is the user's own simulator: the logs then hold its output.
-    """
+def write_case(folder: Path, case: Case) -> None:
+    """Write logs and simulator of one case, with equal names for every case."""
     for number, trial in enumerate(case.trials, start=1):
-        if own_simulator and case.unaffected:
+        if case.answer.own_simulator:
             trial = replace(trial, channels={f"{SIMULATED}_{trial.units.angle}": case.unaffected[number - 1]})
         write_csv(trial, folder / f"trial_{number:02d}.csv")
     save_simulator(case.simulator, folder / "sim.yaml")

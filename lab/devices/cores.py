@@ -57,11 +57,13 @@ class Core(ABC):
         UNIT: of the command.
         DRAWN: range of each parameter between devices.
         FRICTION: parameters that are multiplied by the friction factor of a mounting.
+        STRIBECK: range of each parameter of a friction that is greater at rest.
     """
 
     UNIT: ClassVar[str] = "mm"
     DRAWN: ClassVar[Mapping[str, tuple[float, float]]]
     FRICTION: ClassVar[tuple[str, ...]]
+    STRIBECK: ClassVar[Mapping[str, tuple[float, float]]] = {}
     gain: float
     offset_deg: float
 
@@ -96,6 +98,10 @@ class Core(ABC):
     def draw(cls, random: np.random.Generator) -> Self:
         """Draw a device of this kind."""
         return cls(**{name: random.uniform(*ends) for name, ends in cls.DRAWN.items()})
+
+    def with_stribeck(self, random: np.random.Generator) -> Self:
+        """Same device with friction that is greater at rest, if it can have it."""
+        return replace(self, **{name: float(random.uniform(*ends)) for name, ends in self.STRIBECK.items()})
 
     def numbers(self) -> dict[str, Any]:
         """Parameters for the sealed answers."""
@@ -220,8 +226,7 @@ class DahlCore(QuasiStatic):
 
     def deflection(self, x: Vec, scale: Vec) -> Vec:
         widths = np.geomspace(1.0, self.spread, 8) * 0.08
-        v = np.diff(x, prepend=x[0]) / FINE_S
-        scale = scale * (1 + self.breakaway * np.exp(-((v / self.speed) ** 2)))
+        scale = scale * _at_speed(x, self.breakaway, self.speed)
         shares = np.full(8, self.friction / float(widths.sum()))
         out, state = np.empty(x.size), np.zeros(8)
         kernels.dahl(x, scale, widths, shares, state, out)
@@ -234,6 +239,12 @@ class DahlCore(QuasiStatic):
     def reweighted(self, factor: float) -> Self:
         """Same device with another spread of the elements."""
         return replace(self, spread=self.spread * factor)
+
+
+def _at_speed(x: Vec, breakaway: float, speed: float) -> Vec:
+    """Factors (T,) of the friction at the speeds of a displacement, see `DahlCore`."""
+    v = np.diff(x, prepend=x[0]) / FINE_S
+    return 1 + breakaway * np.exp(-((v / speed) ** 2))
 
 
 @final
@@ -254,6 +265,7 @@ class JointsCore(TendonCore):
         load: stiffness of all joints together [N/mm].
         compliance: of the tendon [mm/N].
         pretension: at rest [N].
+        breakaway, speed: of the friction of the joints and of the tendon, as those of `DahlCore`.
     """
 
     DRAWN: ClassVar = {
@@ -266,6 +278,7 @@ class JointsCore(TendonCore):
         "compliance": (0.05, 0.12),
         "pretension": (4, 9),
     }
+    STRIBECK: ClassVar = {"breakaway": (0.2, 0.8), "speed": (0.5, 5.0)}
     FRICTION = ("friction", "wrap")
     CURL = 0.8  # what a millimetre of bend adds to the wrap, as share of that of the straight device
     gain: float = 11.0
@@ -276,6 +289,11 @@ class JointsCore(TendonCore):
     load: float = 2.0
     compliance: float = 0.08
     pretension: float = 6.0
+    breakaway: float = 0.0
+    speed: float = 2.0
+
+    def deflection(self, x: Vec, scale: Vec) -> Vec:
+        return super().deflection(x, scale * _at_speed(x, self.breakaway, self.speed))
 
     def points(self) -> tuple[Vec, Vec, Vec]:
         weights = np.concatenate([[0.0], np.full(_JOINTS, 1 / (_JOINTS * self.load))])

@@ -191,7 +191,7 @@ def _drawn(random: np.random.Generator, number: int, family: str, rate_hz: float
 def _core(random: np.random.Generator, family: str) -> RodCore | CapstanCore | JointsCore | DahlCore | MuscleCore:
     core = _CORES[family].draw(random)
     if family == "stribeck":
-        core = replace(core, **{name: float(random.uniform(*ends)) for name, ends in DahlCore.STRIBECK.items()})
+        core = core.with_stribeck(random)
     # Relaxation of the rod itself would be an additional creep.
     return replace(core, fast_share=0.0, slow_share=0.0) if isinstance(core, RodCore) else core  # type: ignore[return-value]
 

@@ -55,8 +55,9 @@ def make(
     layout: LayoutName = "auto",
     jobs: Jobs = None,
     own_simulator: Annotated[
-        bool, typer.Option("--own-simulator", help="Logs hold what the unaffected device gives, as simulated_deg.")
-    ] = False,
+        int,
+        typer.Option(min=0, help="Of so many cases one has what the unaffected device gives, as simulated_deg."),
+    ] = 3,
 ) -> None:
     """Write cases without labels, and their answers in one sealed file."""
     from ..blind.make import make_blind  # kept out of the way of the other verbs' start
