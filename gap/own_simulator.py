@@ -74,15 +74,17 @@ def open_simulator(path: Path) -> OwnSimulator:
     if path.suffix.lower() == FMU:
         return Fmu(path)
     block = SimulatorFile.parse(read_yaml(path), str(path)).simulator
-    what = f"simulator {block.python}"
-    kind = class_named(block.python, "simulator", GROUP, object)
+    try:
+        kind = class_named(block.python, "simulator", GROUP, object)
+        factory = made_by(kind, dict(block.model_extra or {}), f"simulator {block.python}")
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
     if not callable(getattr(kind, "run", None)):
-        raise ConfigError(f"{path}: {what}: got a class without run(command, dt), expected one with it")
-    factory = made_by(kind, dict(block.model_extra or {}), what)
+        raise ConfigError(f"{path}: simulator {block.python}: got a class without `run`, expected run(command, dt)")
     try:
         made: OwnSimulator = factory()
-    except Exception as error:  # noqa: BLE001 - a class of the user may raise anything
-        raise GapError(f"{path}: {what}: cannot be made ({_in_brief(error)})") from None
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - a class of the user may raise anything
+        raise GapError(f"{path}: simulator {block.python}: cannot be made ({_in_brief(error)})") from None
     return made
 
 
@@ -113,15 +115,38 @@ class Fmu:
         """Output (T,) for commands (T,), each held for `dt` [s]."""
         import fmpy
 
-        ends = dt * np.arange(1, command.size + 1)
-        # Held inputs: fmpy interpolates, so that each command stands at both ends of its sample.
-        times = np.column_stack([ends - dt, ends]).ravel()
-        signal = np.zeros(times.size, dtype=[("time", np.float64), (self._input, np.float64)])
-        signal["time"], signal[self._input] = times, np.repeat(command, 2)
-        result: Any = fmpy.simulate_fmu(
-            str(self._path), stop_time=ends[-1], output_interval=dt, input=signal, output=[self._output]
-        )
-        return np.interp(ends, result["time"], result[self._output])
+        said: list[str] = []
+        reached_s = -1.0
+
+        def goes_on(time_s: float, recorder: object) -> bool:
+            """Whether the last step was made: fmpy repeats one that the FMU refuses, for ever."""
+            nonlocal reached_s
+            del recorder
+            before_s, reached_s = reached_s, time_s
+            return time_s > before_s
+
+        # Held inputs: fmpy interpolates, and takes the later one of two at the same time.
+        times = dt * np.arange(command.size + 1)
+        signal = np.zeros(2 * command.size, dtype=[("time", np.float64), (self._input, np.float64)])
+        signal["time"], signal[self._input] = np.repeat(times, 2)[1:-1], np.repeat(command, 2)
+        try:
+            result: Any = fmpy.simulate_fmu(
+                str(self._path),
+                stop_time=times[-1],
+                output_interval=dt,
+                input=signal,
+                output=[self._output],
+                record_events=False,
+                step_finished=goes_on,
+                logger=lambda *words: said.append(words[-1].decode(errors="replace")),
+            )
+        except Exception as error:  # noqa: BLE001 - as fmpy raises
+            said.append(" ".join([*said[-1:], _in_brief(error)]))
+        if reached_s < times[-1] - dt / 2:
+            raise GapError(
+                f"{self._path}: ends after {max(reached_s, 0):g} s of {times[-1]:g} s: {_in_brief(*said[-1:])}"
+            )
+        return np.interp(times[1:], result["time"], result[self._output])
 
 
 def played(
@@ -136,8 +161,9 @@ def played(
         ConfigError, GapError: as `open_simulator`, or if its output is no number for each command.
     """
     several = isinstance(simulator, Path) and jobs > 1 and len(trials) > 1
-    backend = backend_for(min(jobs, len(trials)) if several else 1)
-    work = [(k, simulator, trial) for k, trial in enumerate(trials)]
+    backend = backend_for(min(jobs, len(trials)) if several else 1, where=f"diagnose: {simulator}")
+    opened = simulator if several or not isinstance(simulator, Path) else open_simulator(simulator)
+    work = [(k, opened, trial) for k, trial in enumerate(trials)]
     outputs = dict(run_jobs(_output, work, backend, total=len(work), progress=progress))
     return [with_output(trial, outputs[k]) for k, trial in enumerate(trials)]
 
@@ -150,7 +176,7 @@ def _output(job: tuple[int, OwnSimulator | Path, Trial]) -> tuple[int, Vec]:
         answer = np.asarray(simulator.run(np.interp(even, trial.t, trial.command), trial.dt), dtype=np.float64)
     except HystmpcError:
         raise
-    except Exception as error:  # noqa: BLE001 - a program of the user may raise anything
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - a program of the user may raise anything
         raise GapError(f"{trial.source}: the simulator's run ended with {_in_brief(error)}") from None
     if answer.shape != even.shape or not np.isfinite(answer).all():
         raise GapError(
@@ -160,8 +186,9 @@ def _output(job: tuple[int, OwnSimulator | Path, Trial]) -> tuple[int, Vec]:
     return k, np.interp(trial.t, even, answer)
 
 
-_opened = cache(open_simulator)
+_opened = cache(open_simulator)  # once in a worker, which ends with its call
 
 
-def _in_brief(error: BaseException) -> str:
-    return f"{type(error).__name__}: {' '.join(str(error).split())}"[:_LONGEST]
+def _in_brief(error: BaseException | str = "for an unknown reason") -> str:
+    text = error if isinstance(error, str) else f"{type(error).__name__}: {error}"
+    return " ".join(text.split())[:_LONGEST]

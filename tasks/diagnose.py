@@ -97,13 +97,13 @@ def diagnose(
         warn_of_units(recorded, say)
     play: Play | None = None
     if own is not None:
-        first, progress = parts(progress, (1.0, 2.0))
+        first, progress = parts(progress, (30.0, 70.0))  # of a hundred steps, as those of the diagnosis
         play = partial(played, own, jobs=processes(jobs))
         recorded = played(own, recorded, processes(jobs), first)
     elif confirm is not None:
         play = partial(with_simulated, folder=Path(confirm), read=_output_reader(layout))
     if chain is None:
-        first, progress = parts(progress, (1.0, 1.0))
+        first, progress = parts(progress, (30.0, 70.0))
         chain = _stand_in(recorded, first)
     from hystmpc.gap.diagnose import diagnose_trials  # scipy takes long to import: after all checks
 
