@@ -40,7 +40,7 @@ def diagnose(
     ordered: bool = False,
     skip_first_flexure: bool = False,
     figures: Path | str | None = None,
-    jobs: int | None = None,
+    jobs: int | None = 1,
     allow_python: bool = False,
     progress: Progress | None = None,
     say: Say | None = None,
@@ -64,7 +64,8 @@ def diagnose(
             result does not depend on the order given.
         skip_first_flexure: count each trial only from the command's first reversal on.
         figures: new folder for every figure of the report: SVG, PDF, and its data as CSV.
-        jobs: processes in which a simulator of your own runs; else one a core.
+        jobs: processes in which a simulator of your own runs, if a file names it; None for one a core. A script with
+            more than one needs `if __name__ == "__main__":`.
         allow_python: import the class that the file of your own simulator names; you trust it.
         progress: called with completed steps, total steps and the present step.
         say: called with each note and warning.

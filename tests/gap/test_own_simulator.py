@@ -22,6 +22,7 @@ from hystmpc.trials.from_outside import ALLOWED
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
+from ..codegen.compiled import EXAMPLES
 from .engine_examples import DT, moves, sine
 
 CLASSES = """
@@ -163,6 +164,25 @@ def test_the_steps_of_playing_and_of_the_stand_in_are_of_a_hundred() -> None:
 def test_a_simulator_that_runs_needs_no_folder_of_its_output(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="expected no --simulated and no --confirm"):
         hystmpc.diagnose(TRIALS, Gain(), simulated=tmp_path)
+
+
+@pytest.mark.slow
+def test_a_lag_of_a_device_in_mujoco_is_named_and_confirmed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Behind the lag the simulator itself does what the device does."""
+    pytest.importorskip("mujoco", reason="mujoco is a tool of development")
+    monkeypatch.syspath_prepend(EXAMPLES / "mujoco_tip")
+    from tip import Tip  # type: ignore[import-not-found]
+    from tip_devices import DT_S, angles_deg, commands_mm  # type: ignore[import-not-found]
+
+    trials = [
+        Trial(DT_S * np.arange(u.size), u, angle, source=f"trial_{k}.csv")
+        for k, (u, angle) in enumerate(zip(commands_mm(), angles_deg("lag"), strict=True))
+    ]
+    found = hystmpc.diagnose(trials, Tip(), only=("creep", "lag", "slack"), ordered=True)
+    assert (found.verdict, [effect.name for effect in found.effects]) == ("named", ["lag"])
+    assert found.effects[0].parameters["tau_s"] == pytest.approx(0.15, rel=0.1)
+    assert found.confirmed["lag"].closed_share == pytest.approx(found.effects[0].closed_share, abs=0.1)
+    assert found.confirmed_rmse_deg == pytest.approx(found.gap.floor_rmse_deg, rel=0.5)
 
 
 def fmu_of(plant: SimulatedPlant, path: Path, version: FmuVersion) -> Path:
