@@ -14,7 +14,7 @@ import pytest
 import hystmpc
 from hystmpc.codegen.fmu import FmuVersion
 from hystmpc.gap.logs.simulated import SIMULATED, as_simulated
-from hystmpc.gap.own_simulator import names_own_simulator, open_simulator, played
+from hystmpc.gap.user_simulator import names_user_simulator, open_simulator, played
 from hystmpc.models.load import library_file, load_simulator
 from hystmpc.sim import SimulatedPlant
 from hystmpc.trials.errors import ConfigError, HystmpcError
@@ -107,10 +107,10 @@ def test_output_replaces_an_older_column_and_is_at_the_samples_of_the_log() -> N
 
 def test_only_fmus_and_files_that_name_a_class_are_own_simulators(tip: Path) -> None:
     model = library_file("pi")
-    assert names_own_simulator(tip)
-    assert names_own_simulator(Path("a.FMU"))
-    assert not names_own_simulator(model)
-    assert not names_own_simulator(Path("builtin:pi"))
+    assert names_user_simulator(tip)
+    assert names_user_simulator(Path("a.FMU"))
+    assert not names_user_simulator(model)
+    assert not names_user_simulator(Path("builtin:pi"))
 
 
 def test_a_class_of_a_file_is_not_imported_without_a_yes(tip: Path, monkeypatch: pytest.MonkeyPatch) -> None:

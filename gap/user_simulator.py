@@ -27,7 +27,7 @@ _LONGEST = 160  # characters of another program's error
 
 
 @runtime_checkable
-class OwnSimulator(Protocol):
+class UserSimulator(Protocol):
     """A simulator of the user."""
 
     def run(self, command: Vec, dt: float, /) -> Vec:
@@ -44,13 +44,13 @@ class _NamedClass(Settings):
     python: str = Field(pattern=MODULE_AND_CLASS)
 
 
-class SimulatorFile(Settings):
+class UserSimulatorFile(Settings):
     """File that names a simulator of the user: `simulator: {python: MODULE:CLASS}`; further keys are its arguments."""
 
     simulator: _NamedClass
 
 
-def names_own_simulator(path: Path) -> bool:
+def names_user_simulator(path: Path) -> bool:
     """Whether a file is an FMU, or names a class of the user in place of a model.
 
     Raises:
@@ -64,7 +64,7 @@ def names_own_simulator(path: Path) -> bool:
     return isinstance(data, dict) and isinstance(data.get("simulator"), dict)
 
 
-def open_simulator(path: Path) -> OwnSimulator:
+def open_simulator(path: Path) -> UserSimulator:
     """Open an FMU, or the simulator whose class a file names.
 
     Raises:
@@ -73,7 +73,7 @@ def open_simulator(path: Path) -> OwnSimulator:
     """
     if path.suffix.lower() == FMU:
         return Fmu(path)
-    block = SimulatorFile.parse(read_yaml(path), str(path)).simulator
+    block = UserSimulatorFile.parse(read_yaml(path), str(path)).simulator
     try:
         kind = class_named(block.python, "simulator", GROUP, object)
         factory = made_by(kind, dict(block.model_extra or {}), f"simulator {block.python}")
@@ -82,7 +82,7 @@ def open_simulator(path: Path) -> OwnSimulator:
     if not callable(getattr(kind, "run", None)):
         raise ConfigError(f"{path}: simulator {block.python}: got a class without `run`, expected run(command, dt)")
     try:
-        made: OwnSimulator = factory()
+        made: UserSimulator = factory()
     except (Exception, SystemExit) as error:  # noqa: BLE001 - a class of the user may raise anything
         raise GapError(f"{path}: simulator {block.python}: cannot be made ({_in_brief(error)})") from None
     return made
@@ -112,7 +112,11 @@ class Fmu:
         self._path, self._input, self._output = path, named["input"][0], named["output"][0]
 
     def run(self, command: Vec, dt: float, /) -> Vec:
-        """Output (T,) for commands (T,), each held for `dt` [s]."""
+        """Output (T,) for commands (T,), each held for `dt` [s].
+
+        Raises:
+            GapError: if the FMU fails, or refuses a step.
+        """
         import fmpy
 
         said: list[str] = []
@@ -150,7 +154,7 @@ class Fmu:
 
 
 def played(
-    simulator: OwnSimulator | Path, trials: Sequence[Trial], jobs: int = 1, progress: Progress | None = None
+    simulator: UserSimulator | Path, trials: Sequence[Trial], jobs: int = 1, progress: Progress | None = None
 ) -> list[Trial]:
     """Trials with the output of the user's simulator for their commands as a channel, see `logs.simulated`.
 
@@ -168,7 +172,7 @@ def played(
     return [with_output(trial, outputs[k]) for k, trial in enumerate(trials)]
 
 
-def _output(job: tuple[int, OwnSimulator | Path, Trial]) -> tuple[int, Vec]:
+def _output(job: tuple[int, UserSimulator | Path, Trial]) -> tuple[int, Vec]:
     k, given, trial = job
     simulator = _opened(given) if isinstance(given, Path) else given
     even = trial.t[0] + trial.dt * np.arange(round(trial.duration_s / trial.dt) + 1)
