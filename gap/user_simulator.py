@@ -75,7 +75,7 @@ def open_simulator(path: Path) -> UserSimulator:
         return Fmu(path)
     block = UserSimulatorFile.parse(read_yaml(path), str(path)).simulator
     try:
-        kind = class_named(block.python, "simulator", GROUP, object)
+        kind: type[Any] = class_named(block.python, "simulator", GROUP, object)
         factory = made_by(kind, dict(block.model_extra or {}), f"simulator {block.python}")
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
@@ -120,6 +120,7 @@ class Fmu:
         import fmpy
 
         said: list[str] = []
+        result: Any = None
         reached_s = -1.0
 
         def goes_on(time_s: float, recorder: object) -> bool:
@@ -134,7 +135,7 @@ class Fmu:
         signal = np.zeros(2 * command.size, dtype=[("time", np.float64), (self._input, np.float64)])
         signal["time"], signal[self._input] = np.repeat(times, 2)[1:-1], np.repeat(command, 2)
         try:
-            result: Any = fmpy.simulate_fmu(
+            result = fmpy.simulate_fmu(
                 str(self._path),
                 stop_time=times[-1],
                 output_interval=dt,
@@ -146,7 +147,7 @@ class Fmu:
             )
         except Exception as error:  # noqa: BLE001 - as fmpy raises
             said.append(" ".join([*said[-1:], _in_brief(error)]))
-        if reached_s < times[-1] - dt / 2:
+        if result is None or reached_s < times[-1] - dt / 2:
             raise GapError(
                 f"{self._path}: ends after {max(reached_s, 0):g} s of {times[-1]:g} s: {_in_brief(*said[-1:])}"
             )

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.files import figures_to, require_writable
@@ -88,7 +88,7 @@ def diagnose(
     check_figures(figures)
     _require_free(out)
     user = _user_simulator(simulator, allow_python, by_hand=simulated or confirm)
-    chain = None if simulator is None or user is not None else chain_or_model(simulator)
+    chain = None if simulator is None or user is not None else chain_or_model(cast("Model", simulator))
     recorded = recorded_trials(as_list(trials), layout)
     read = _output_reader(layout)
     if simulated is not None:
