@@ -50,9 +50,8 @@ diagnosis = hystmpc.diagnose(trials, simulator, only=("creep", "lag", "slack"), 
 confirmed = diagnosis.confirmed[effect.name]
 print(f"{diagnosis.verdict}: {effect.name}, probability {effect.probability:.2f}")
 print(f"closes {effect.closed_share:.2f} of the gap, as the stand-in says")
-print(
-    f"closes {confirmed.closed_share:.2f} of it in the simulator ({confirmed.ci90[0]:.2f} to {confirmed.ci90[1]:.2f})"
-)
+low, high = confirmed.ci90
+print(f"closes {confirmed.closed_share:.2f} of it ({low:.2f} to {high:.2f}), as the simulator's own answer says")
 
 # %%
 # See it
