@@ -29,7 +29,7 @@ _PACE: Pace = ((0, 0), (0.05, 0.12), (0.34, 0.31), (0.51, 0.44), (0.62, 0.57), (
     simulator={"help": f"{SIM['help'].rstrip('.')}; or your own: an .fmu, or a .yaml that names a class.", **OPTIONAL},
     out={"help": "Folder to write: new, empty, or an older diagnosis."},
     seed={"min": 0},
-    jobs={"min": 1},
+    jobs={"help": "Processes in which a simulator of your own runs; one a core where left out.", "min": 1, **OPTIONAL},
 )
 def diagnose(
     call: Call,

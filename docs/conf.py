@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from importlib.metadata import version as installed
+from importlib.util import find_spec
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
@@ -54,10 +55,14 @@ html_show_sphinx = False
 GALLERY = HERE.parent / "examples" / "gallery"
 if any(GALLERY.glob("plot_*.py")):
     extensions.append("sphinx_gallery.gen_gallery")
+    left_out = [] if find_spec("mujoco") else ["own_simulator"]
+    if left_out:
+        print("gallery: the page on a simulator of your own is left out, expected mujoco installed: pip install mujoco")
     sphinx_gallery_conf = {
         "examples_dirs": str(GALLERY),
         "gallery_dirs": "gallery",
         "filename_pattern": r"plot_",
+        "ignore_pattern": "|".join([r"__init__\.py", *left_out]),
         "within_subsection_order": "FileNameSortKey",
         "run_stale_examples": False,
         "download_all_examples": False,

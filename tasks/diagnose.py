@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.files import figures_to, require_writable
@@ -21,14 +21,17 @@ from .outputs import check_figures
 if TYPE_CHECKING:
     from hystmpc.gap.diagnose import Play
     from hystmpc.gap.diagnosis import Diagnosis
-    from hystmpc.gap.own_simulator import OwnSimulator
+    from hystmpc.gap.user_simulator import UserSimulator
     from hystmpc.models.model import LoadedModel
     from hystmpc.models.simulator import Simulator
+
+# Playing or a fit, then the diagnosis: of a hundred steps, as those of the diagnosis itself.
+_FIRST_AND_DIAGNOSE = 30.0, 70.0
 
 
 def diagnose(
     trials: Logs,
-    simulator: Model | OwnSimulator | None = None,
+    simulator: Model | UserSimulator | None = None,
     out: Path | str | None = None,
     *,
     simulated: Path | str | None = None,
@@ -40,7 +43,7 @@ def diagnose(
     ordered: bool = False,
     skip_first_flexure: bool = False,
     figures: Path | str | None = None,
-    jobs: int | None = None,
+    jobs: int | None = 1,
     allow_python: bool = False,
     progress: Progress | None = None,
     say: Say | None = None,
@@ -64,7 +67,8 @@ def diagnose(
             result does not depend on the order given.
         skip_first_flexure: count each trial only from the command's first reversal on.
         figures: new folder for every figure of the report: SVG, PDF, and its data as CSV.
-        jobs: processes in which a simulator of your own runs; else one a core.
+        jobs: processes in which a simulator of your own runs, if a file names it; None for one a core. A script with
+            more than one needs `if __name__ == "__main__":`.
         allow_python: import the class that the file of your own simulator names; you trust it.
         progress: called with completed steps, total steps and the present step.
         say: called with each note and warning.
@@ -78,47 +82,36 @@ def diagnose(
             written.
     """
     from hystmpc.gap.logs.simulated import with_simulated
-    from hystmpc.gap.own_simulator import played
-    from hystmpc.gap.report.folder import require_free
+    from hystmpc.gap.user_simulator import played
     from hystmpc.models.load import model_path
 
     check_figures(figures)
-    if out is not None:
-        require_writable(out)
-        require_free(out)
-    own = _own_simulator(simulator, allow_python)
-    if own is not None and (simulated is not None or confirm is not None):
-        raise ConfigError("diagnose: got a simulator that can be run, expected no --simulated and no --confirm with it")
-    chain = None if simulator is None or own is not None else chain_or_model(simulator)
+    _require_free(out)
+    user = _user_simulator(simulator, allow_python, by_hand=simulated or confirm)
+    chain = None if simulator is None or user is not None else chain_or_model(cast("Model", simulator))
     recorded = recorded_trials(as_list(trials), layout)
+    read = _output_reader(layout)
     if simulated is not None:
-        recorded = with_simulated(recorded, Path(simulated), _output_reader(layout))
+        recorded = with_simulated(recorded, Path(simulated), read)
     if say is not None:
         warn_of_units(recorded, say)
-    play: Play | None = None
-    if own is not None:
-        first, progress = parts(progress, (1.0, 2.0))
-        play = partial(played, own, jobs=processes(jobs))
-        recorded = played(own, recorded, processes(jobs), first)
-    elif confirm is not None:
-        play = partial(with_simulated, folder=Path(confirm), read=_output_reader(layout))
+    play: Play | None = None if confirm is None else partial(with_simulated, folder=Path(confirm), read=read)
+    if user is not None:
+        first, progress = parts(progress, _FIRST_AND_DIAGNOSE)
+        play = partial(played, user, jobs=processes(jobs))
+        recorded = played(user, recorded, processes(jobs), first)
     if chain is None:
-        first, progress = parts(progress, (1.0, 1.0))
-        chain = _stand_in(recorded, first)
+        chain, progress = _stand_in(recorded, progress)
     from hystmpc.gap.diagnose import diagnose_trials  # scipy takes long to import: after all checks
 
+    called = {"sim": simulator, "simulated": simulated, "confirm": confirm, "layout": layout}
     with figures_to(figures):
         done = diagnose_trials(
             recorded,
             chain,
             out=out,
-            called={
-                "sim": None if simulator is None else str(simulator),
-                "simulated": None if simulated is None else str(simulated),
-                "confirm": None if confirm is None else str(confirm),
-                "layout": str(layout),
-            },
-            model=Path(model_path(str(simulator))) if own is None and isinstance(simulator, Path | str) else None,
+            called={key: None if value is None else str(value) for key, value in called.items()},
+            model=Path(model_path(str(simulator))) if user is None and isinstance(simulator, Path | str) else None,
             seed=seed,
             without=tuple(without),
             only=None if only is None else tuple(only),
@@ -131,18 +124,30 @@ def diagnose(
     return done.diagnosis
 
 
-def _own_simulator(given: object, allow_python: bool) -> OwnSimulator | Path | None:
+def _require_free(out: Path | str | None) -> None:
+    from hystmpc.gap.report.folder import require_free
+
+    if out is not None:
+        require_writable(out)
+        require_free(out)
+
+
+def _user_simulator(given: object, allow_python: bool, by_hand: object) -> UserSimulator | Path | None:
     """The user's own simulator, or the file that names it; None for a model."""
-    from hystmpc.gap.own_simulator import OwnSimulator, names_own_simulator, open_simulator
+    from hystmpc.gap.user_simulator import UserSimulator, names_user_simulator, open_simulator
     from hystmpc.models.model import LoadedModel
 
-    if isinstance(given, Path | str):
-        if not names_own_simulator(Path(given)):
-            return None
-        allow_classes(allow_python)
-        open_simulator(Path(given))  # a fault of the file is told before the logs are read
-        return Path(given)
-    return given if isinstance(given, OwnSimulator) and not isinstance(given, LoadedModel) else None
+    named = isinstance(given, Path | str) and names_user_simulator(Path(given))
+    if not named and (not isinstance(given, UserSimulator) or isinstance(given, LoadedModel)):
+        return None
+    if by_hand:
+        raise ConfigError("diagnose: got a simulator that can be run, expected no --simulated and no --confirm with it")
+    if isinstance(given, UserSimulator):
+        return given
+    file = Path(str(given))
+    allow_classes(allow_python)
+    open_simulator(file)  # a fault of the file is told before the logs are read
+    return file
 
 
 def _output_reader(layout: AnyLayout) -> Callable[[Path], Trial]:
@@ -157,8 +162,8 @@ def _output_reader(layout: AnyLayout) -> Callable[[Path], Trial]:
     return read
 
 
-def _stand_in(recorded: Sequence[Trial], progress: Progress) -> Simulator | LoadedModel:
-    """Model of the simulator's output, by `fit auto`."""
+def _stand_in(recorded: Sequence[Trial], progress: Progress | None) -> tuple[Simulator | LoadedModel, Progress]:
+    """Model of the simulator's output, by `fit auto`, and the progress of what follows."""
     from hystmpc.gap.logs.simulated import SIMULATED, as_simulated, have_simulated
 
     from .fit import DEFAULT_RATE_HZ, fit
@@ -170,12 +175,14 @@ def _stand_in(recorded: Sequence[Trial], progress: Progress) -> Simulator | Load
             f"or a column {SIMULATED}_{unit} in the logs"
         )
 
+    first, rest = parts(progress, _FIRST_AND_DIAGNOSE)
+
     def fitting(done: float, total: float, error: str = "", /) -> None:
         del error
-        progress(done, total, "fitting a stand-in of your simulator")
+        first(done, total, "fitting a stand-in of your simulator")
 
     rate_hz = min(DEFAULT_RATE_HZ, *(1.0 / trial.dt for trial in recorded))
     fitted = fit("auto", [as_simulated(trial) for trial in recorded], rate_hz=rate_hz, progress=fitting)
     if fitted.identified.interrupted:  # Ctrl-C ends the diagnosis, not only the search for a stand-in
         raise KeyboardInterrupt
-    return fitted.simulator
+    return fitted.simulator, rest

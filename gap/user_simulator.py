@@ -27,7 +27,7 @@ _LONGEST = 160  # characters of another program's error
 
 
 @runtime_checkable
-class OwnSimulator(Protocol):
+class UserSimulator(Protocol):
     """A simulator of the user."""
 
     def run(self, command: Vec, dt: float, /) -> Vec:
@@ -44,13 +44,13 @@ class _NamedClass(Settings):
     python: str = Field(pattern=MODULE_AND_CLASS)
 
 
-class SimulatorFile(Settings):
+class UserSimulatorFile(Settings):
     """File that names a simulator of the user: `simulator: {python: MODULE:CLASS}`; further keys are its arguments."""
 
     simulator: _NamedClass
 
 
-def names_own_simulator(path: Path) -> bool:
+def names_user_simulator(path: Path) -> bool:
     """Whether a file is an FMU, or names a class of the user in place of a model.
 
     Raises:
@@ -64,7 +64,7 @@ def names_own_simulator(path: Path) -> bool:
     return isinstance(data, dict) and isinstance(data.get("simulator"), dict)
 
 
-def open_simulator(path: Path) -> OwnSimulator:
+def open_simulator(path: Path) -> UserSimulator:
     """Open an FMU, or the simulator whose class a file names.
 
     Raises:
@@ -73,16 +73,18 @@ def open_simulator(path: Path) -> OwnSimulator:
     """
     if path.suffix.lower() == FMU:
         return Fmu(path)
-    block = SimulatorFile.parse(read_yaml(path), str(path)).simulator
-    what = f"simulator {block.python}"
-    kind = class_named(block.python, "simulator", GROUP, object)
-    if not callable(getattr(kind, "run", None)):
-        raise ConfigError(f"{path}: {what}: got a class without run(command, dt), expected one with it")
-    factory = made_by(kind, dict(block.model_extra or {}), what)
+    block = UserSimulatorFile.parse(read_yaml(path), str(path)).simulator
     try:
-        made: OwnSimulator = factory()
-    except Exception as error:  # noqa: BLE001 - a class of the user may raise anything
-        raise GapError(f"{path}: {what}: cannot be made ({_in_brief(error)})") from None
+        kind: type[Any] = class_named(block.python, "simulator", GROUP, object)
+        factory = made_by(kind, dict(block.model_extra or {}), f"simulator {block.python}")
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
+    if not callable(getattr(kind, "run", None)):
+        raise ConfigError(f"{path}: simulator {block.python}: got a class without `run`, expected run(command, dt)")
+    try:
+        made: UserSimulator = factory()
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - a class of the user may raise anything
+        raise GapError(f"{path}: simulator {block.python}: cannot be made ({_in_brief(error)})") from None
     return made
 
 
@@ -110,22 +112,50 @@ class Fmu:
         self._path, self._input, self._output = path, named["input"][0], named["output"][0]
 
     def run(self, command: Vec, dt: float, /) -> Vec:
-        """Output (T,) for commands (T,), each held for `dt` [s]."""
+        """Output (T,) for commands (T,), each held for `dt` [s].
+
+        Raises:
+            GapError: if the FMU fails, or refuses a step.
+        """
         import fmpy
 
-        ends = dt * np.arange(1, command.size + 1)
-        # Held inputs: fmpy interpolates, so that each command stands at both ends of its sample.
-        times = np.column_stack([ends - dt, ends]).ravel()
-        signal = np.zeros(times.size, dtype=[("time", np.float64), (self._input, np.float64)])
-        signal["time"], signal[self._input] = times, np.repeat(command, 2)
-        result: Any = fmpy.simulate_fmu(
-            str(self._path), stop_time=ends[-1], output_interval=dt, input=signal, output=[self._output]
-        )
-        return np.interp(ends, result["time"], result[self._output])
+        said: list[str] = []
+        result: Any = None
+        reached_s = -1.0
+
+        def goes_on(time_s: float, recorder: object) -> bool:
+            """Whether the last step was made: fmpy repeats one that the FMU refuses, for ever."""
+            nonlocal reached_s
+            del recorder
+            before_s, reached_s = reached_s, time_s
+            return time_s > before_s
+
+        # Held inputs: fmpy interpolates, and takes the later one of two at the same time.
+        times = dt * np.arange(command.size + 1)
+        signal = np.zeros(2 * command.size, dtype=[("time", np.float64), (self._input, np.float64)])
+        signal["time"], signal[self._input] = np.repeat(times, 2)[1:-1], np.repeat(command, 2)
+        try:
+            result = fmpy.simulate_fmu(
+                str(self._path),
+                stop_time=times[-1],
+                output_interval=dt,
+                input=signal,
+                output=[self._output],
+                record_events=False,
+                step_finished=goes_on,
+                logger=lambda *words: said.append(words[-1].decode(errors="replace")),
+            )
+        except Exception as error:  # noqa: BLE001 - as fmpy raises
+            said.append(" ".join([*said[-1:], _in_brief(error)]))
+        if result is None or reached_s < times[-1] - dt / 2:
+            raise GapError(
+                f"{self._path}: ends after {max(reached_s, 0):g} s of {times[-1]:g} s: {_in_brief(*said[-1:])}"
+            )
+        return np.interp(times[1:], result["time"], result[self._output])
 
 
 def played(
-    simulator: OwnSimulator | Path, trials: Sequence[Trial], jobs: int = 1, progress: Progress | None = None
+    simulator: UserSimulator | Path, trials: Sequence[Trial], jobs: int = 1, progress: Progress | None = None
 ) -> list[Trial]:
     """Trials with the output of the user's simulator for their commands as a channel, see `logs.simulated`.
 
@@ -136,13 +166,14 @@ def played(
         ConfigError, GapError: as `open_simulator`, or if its output is no number for each command.
     """
     several = isinstance(simulator, Path) and jobs > 1 and len(trials) > 1
-    backend = backend_for(min(jobs, len(trials)) if several else 1)
-    work = [(k, simulator, trial) for k, trial in enumerate(trials)]
+    backend = backend_for(min(jobs, len(trials)) if several else 1, where=f"diagnose: {simulator}")
+    opened = simulator if several or not isinstance(simulator, Path) else open_simulator(simulator)
+    work = [(k, opened, trial) for k, trial in enumerate(trials)]
     outputs = dict(run_jobs(_output, work, backend, total=len(work), progress=progress))
     return [with_output(trial, outputs[k]) for k, trial in enumerate(trials)]
 
 
-def _output(job: tuple[int, OwnSimulator | Path, Trial]) -> tuple[int, Vec]:
+def _output(job: tuple[int, UserSimulator | Path, Trial]) -> tuple[int, Vec]:
     k, given, trial = job
     simulator = _opened(given) if isinstance(given, Path) else given
     even = trial.t[0] + trial.dt * np.arange(round(trial.duration_s / trial.dt) + 1)
@@ -150,7 +181,7 @@ def _output(job: tuple[int, OwnSimulator | Path, Trial]) -> tuple[int, Vec]:
         answer = np.asarray(simulator.run(np.interp(even, trial.t, trial.command), trial.dt), dtype=np.float64)
     except HystmpcError:
         raise
-    except Exception as error:  # noqa: BLE001 - a program of the user may raise anything
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - a program of the user may raise anything
         raise GapError(f"{trial.source}: the simulator's run ended with {_in_brief(error)}") from None
     if answer.shape != even.shape or not np.isfinite(answer).all():
         raise GapError(
@@ -160,8 +191,9 @@ def _output(job: tuple[int, OwnSimulator | Path, Trial]) -> tuple[int, Vec]:
     return k, np.interp(trial.t, even, answer)
 
 
-_opened = cache(open_simulator)
+_opened = cache(open_simulator)  # once in a worker, which ends with its call
 
 
-def _in_brief(error: BaseException) -> str:
-    return f"{type(error).__name__}: {' '.join(str(error).split())}"[:_LONGEST]
+def _in_brief(error: BaseException | str = "for an unknown reason") -> str:
+    text = error if isinstance(error, str) else f"{type(error).__name__}: {error}"
+    return " ".join(text.split())[:_LONGEST]
