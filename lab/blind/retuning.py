@@ -44,15 +44,13 @@ def retune(simulator: Simulator, commands: Sequence[Vec], angles: Sequence[Vec])
         Trial(np.arange(u.size) / RATE_HZ, u, y, source=f"trial {k}")
         for k, (u, y) in enumerate(zip(commands, angles, strict=True))
     ]
-    chain = simulator.chain
-    core = chain.core.with_values(_fitted(simulator, trials).tolist())
-    fitted = replace(simulator, chain=replace(chain, core=core))
+    fitted = replace(simulator, chain=simulator.chain.with_values(_fitted(simulator, trials).tolist()))
     runs = free_runs(fitted, commands, [float(y[0]) for y in angles])
     return Retuned(fitted, rms([a - b for a, b in zip(runs, angles, strict=True)]), runs)
 
 
 def _fitted(simulator: Simulator, trials: Sequence[Trial]) -> Vec:
-    """Parameters of the core after the refit; one that equals an effect stays fixed, since its refit would hide it."""
+    """Parameters of the chain after the refit; one that equals an effect stays fixed, since its refit would hide it."""
     command = np.concatenate([trial.command for trial in trials])
     baseline = baseline_of(simulator.chain, Range(lower=float(command.min()), upper=float(command.max())))
     runs = FreeRuns(simulator.chain, trials)
@@ -76,17 +74,13 @@ def _fitted(simulator: Simulator, trials: Sequence[Trial]) -> Vec:
         z, r, jacobian, damping = tried, following, by_z, max(damping / 10, 1e-9)
         if done:
             break
-    return baseline.core_values(z)[0]
+    return baseline.chain_values(z)[0]
 
 
 def _errors(runs: FreeRuns, baseline: Baseline, z: Vec) -> tuple[Vec, Vec]:
     """Free-run errors, regularisation terms included, and their derivative by the free parameters."""
-    core, by_z = baseline.core_values(z)
-    chain, p = baseline.chain, baseline.chain.values
-    first = sum(len(operator.parameters) for operator in chain.before)
-    p[first : first + core.size] = core
+    p, by_z = baseline.chain_values(z)
     r, by_p = runs.residuals(p)
-    by_p = by_p[:, first : first + core.size]
     if not baseline.roughness.size:
         return r, by_p @ by_z
     tied = baseline.roughness / np.sqrt(r.size)  # errors are of the mean

@@ -17,15 +17,17 @@ from ..operators.friction import MaxwellSlip
 from ..operators.hysteresis import Backlash, CurvedPlays
 from ..operators.operator import Operator
 from ..operators.prandtl_ishlinskii import PrandtlIshlinskii
-from ..operators.static_curves import Line
+from ..operators.static_curves import Line, NonlinearGain
 from .free_run import StagedChain
 
 # Parameters of cores that are effects by another name: retuning leaves them at their nominal values.
 _EFFECTS_BY_ANOTHER_NAME = {"beta": "rate_dependence"}
 _LINEAR_IN_WEIGHTS = (Line, PrandtlIshlinskii, CurvedPlays)
+_CURVES = {"quadratic": (1, 0.8, 0.05), "cubic": (2, 1.2, 0.1)}  # power of the span, greatest value, usual change
 _LOOP_SAMPLES = 200
 _ROUGHNESS = 0.05  # share of the range over which a difference of slopes counts: 70 samples of 0.3 % of the angle
 _LEVEL = 0.03  # the same for the slope itself
+_FRICTION = (0.2, 5.0)  # least and greatest factor of the friction of a retuned device
 _SLOW_S = 1.0  # sample time of that loop: slow enough for rate-dependent widths to vanish
 
 
@@ -59,6 +61,14 @@ class Baseline(ABC):
     @abstractmethod
     def core_values(self, z: Vec) -> tuple[Vec, Vec]:
         """Parameters (P,) of the core and their derivative by z (P, Z)."""
+
+    def chain_values(self, z: Vec) -> tuple[Vec, Vec]:
+        """Parameters (P,) of the whole chain and their derivative by z (P, Z)."""
+        core, by_z = self.core_values(z)
+        p, first = self.chain.values, sum(len(operator.parameters) for operator in self.chain.before)
+        slope = np.zeros((p.size, z.size))
+        p[first : first + core.size], slope[first : first + core.size] = core, by_z
+        return p, slope
 
     def quantities(self, z: Vec) -> Mapping[str, float]:
         """Quantities `gain` [deg/cmd], `offset` [deg at the middle of the command's range], `backlash_width` [cmd].
@@ -135,10 +145,13 @@ class FreeCoreBaseline(Baseline):
     Args:
         command: range of the command [cmd].
         free_widths: whether the half-widths of curved plays are free, too.
+        one_friction: whether the half-widths of curved plays are free in proportion, as one factor of the friction.
         anew: whether curved plays that the trials do not show are taken for absent; else they stay as they are given.
     """
 
-    def __init__(self, chain: Chain, command: Range, free_widths: bool = False, anew: bool = False) -> None:
+    def __init__(
+        self, chain: Chain, command: Range, free_widths: bool = False, one_friction: bool = False, anew: bool = False
+    ) -> None:
         core, values, parameters = chain.core, np.array(chain.core.values), chain.core.parameters
         span = command.upper - command.lower
         slopes = [abs(v) for v, p in zip(values, parameters, strict=True) if p.unit == "deg/cmd"]
@@ -150,6 +163,7 @@ class FreeCoreBaseline(Baseline):
             for v, p in zip(values, parameters, strict=True)
         ]
         ends = np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
+        self._ratios = np.eye(values.size)  # of the parameters to the unknowns
         super().__init__(chain, command, values.tolist(), ends, scale)
         if isinstance(core, _LINEAR_IN_WEIGHTS):
             self.linear = np.array([p.unit in ("deg/cmd", "deg") for p in parameters])
@@ -159,14 +173,21 @@ class FreeCoreBaseline(Baseline):
         }
         self.width = names.index("alpha") if "alpha" in names else -1
         if isinstance(core, CurvedPlays):
-            self.held = tuple(range(len(slopes) + 1 + (core.plays if free_widths else 0), values.size))
+            first = len(slopes) + 1
+            held = set(range(first if not free_widths else first + core.plays, values.size))
+            if one_friction and core.plays and core.radii[0] > 0:
+                held.discard(first)
+                self.lower[first], self.upper[first] = (factor * core.radii[0] for factor in _FRICTION)
+                self._ratios[first : first + core.plays] = 0.0
+                self._ratios[first : first + core.plays, first] = np.array(core.radii) / core.radii[0]
+            self.held = tuple(sorted(held))
             self.roughness = _ROUGHNESS * span * _differences(core, values.size)
             if anew:
                 of_plays = np.eye(values.size)[core.pieces + 1 : len(slopes)]
                 self.roughness = np.vstack([self.roughness, _LEVEL * span * of_plays])
 
     def core_values(self, z: Vec) -> tuple[Vec, Vec]:
-        return np.clip(z, self.lower, self.upper), np.eye(z.size)
+        return self._ratios @ np.clip(z, self.lower, self.upper), self._ratios.copy()
 
     def freed(self) -> Baseline:
         curved = isinstance(self.chain.core, CurvedPlays)
@@ -211,6 +232,55 @@ class ScaledBaseline(Baseline):
         return p, slope
 
 
+@final
+class CurvedBaseline(Baseline):
+    """Baseline whose static curves before and behind the core are retuned with it.
+
+    Where friction or stiffness of a device has changed, the core's angles and travels have, and with them the curves:
+    a curve that stays as it was looks like a further nonlinear gain. Lags and creeps of the simulator are not retuned,
+    since they would hide these effects.
+
+    Args:
+        inner: baseline of the core.
+        curves: positions of the curves' parameters in the chain, with lower and upper end and typical change of each.
+    """
+
+    def __init__(self, inner: Baseline, curves: Mapping[int, tuple[float, float, float]]) -> None:
+        self._inner, self._curves, self._places = inner, curves, list(curves)
+        least, most, scale = (np.array(ends) for ends in zip(*curves.values(), strict=True))
+        values = inner.chain.values[self._places]
+        ends = np.concatenate([inner.lower, least]), np.concatenate([inner.upper, most])
+        whole = [*inner.nominal, *values], ends, [*inner.scale, *scale]
+        super().__init__(inner.chain, inner.command, *whole)
+        self.effects, self.held, self.width = inner.effects, inner.held, inner.width
+        self.linear[: inner.nominal.size] = inner.linear
+        if len(inner.roughness):
+            self.roughness = np.hstack([inner.roughness, np.zeros((len(inner.roughness), values.size))])
+
+    def core_values(self, z: Vec) -> tuple[Vec, Vec]:
+        core, by_z = self._inner.core_values(self._of_core(z))
+        return core, np.hstack([by_z, np.zeros((core.size, len(self._places)))])
+
+    def chain_values(self, z: Vec) -> tuple[Vec, Vec]:
+        p, slope = super().chain_values(z)
+        size = self._inner.nominal.size
+        p[self._places], slope[self._places, range(size, z.size)] = z[size:], 1.0
+        return p, slope
+
+    def quantities(self, z: Vec) -> Mapping[str, float]:
+        return self._inner.quantities(self._of_core(z))
+
+    def loop_width(self, z: Vec) -> float:
+        return self._inner.loop_width(self._of_core(z))
+
+    def freed(self) -> Baseline:
+        freed = self._inner.freed()
+        return self if freed is self._inner else CurvedBaseline(freed, self._curves)
+
+    def _of_core(self, z: Vec) -> Vec:
+        return z[: self._inner.nominal.size]
+
+
 def _differences(core: CurvedPlays, size: int) -> Vec:
     """Rows (R, Z) for the differences of neighbouring slopes of each curve."""
     knots = core.pieces + 1
@@ -234,4 +304,24 @@ def _major_loop(chain: Chain, command: Range) -> tuple[float, float, float]:
 
 def baseline_of(chain: Chain, command: Range) -> Baseline:
     """Free parameters for retuning a nominal chain over a range of commands [cmd]."""
-    return (BacklashBaseline if isinstance(chain.core, Backlash) else FreeCoreBaseline)(chain, command)
+    core: Baseline
+    if isinstance(chain.core, Backlash):
+        core = BacklashBaseline(chain, command)
+    else:
+        core = FreeCoreBaseline(chain, command, one_friction=True)
+    curves = _curves(core)
+    return CurvedBaseline(core, curves) if curves else core
+
+
+def _curves(core: Baseline) -> dict[int, tuple[float, float, float]]:
+    """Places of the curves' parameters in the chain, with their ends and typical changes."""
+    span, at, made = core.command.upper - core.command.lower, 0, dict[int, tuple[float, float, float]]()
+    angle_span = max(abs(core.quantities(core.nominal).get("gain", 1.0)) * span, 1e-9)
+    for k, operator in enumerate(core.chain.operators):
+        wide = span if k < len(core.chain.before) else angle_span
+        for place, parameter in enumerate(operator.parameters, start=at):
+            if isinstance(operator, NonlinearGain) and parameter.name in _CURVES:
+                power, most, usual = _CURVES[parameter.name]
+                made[place] = (-most / wide**power, most / wide**power, usual / wide**power)
+        at += len(operator.parameters)
+    return made

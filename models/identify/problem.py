@@ -148,7 +148,7 @@ class Problem:
         self._staged, self._given = StagedChain(self.chain), self.chain.values
         at, states = self._places()
         core = len(self.chain.before)
-        self._core = slice(at[core], at[core + 1])
+        self._nominal = slice(at[len(leading)], at[len(leading) + len(nominal.operators)])
         first = core + 1 + len(nominal.after)
         owners = [*((c, k) for k, (c, _) in enumerate(leading)), *((c, first + k) for k, (c, _) in enumerate(trailing))]
         self._before, self._leading = slice(0, states[core]), len(leading)
@@ -339,8 +339,8 @@ class Problem:
     def _values_at(self, q: Vec) -> tuple[Vec, Vec]:
         values = self.plain(q)
         p, slope = self._given.copy(), np.zeros((self._given.size, q.size))
-        core, by_z = self.baseline.core_values(self._retuned(values))
-        p[self._core], slope[self._core, : self._z] = core, (by_z * self.baseline.scale)[:, self._active]
+        given, by_z = self.baseline.chain_values(self._retuned(values))
+        p[self._nominal], slope[self._nominal, : self._z] = given, (by_z * self.baseline.scale)[:, self._active]
         for k, (freedom, indices) in enumerate(self._freedoms, self._z):
             p[indices], slope[indices, k] = values[k], freedom.scale or values[k]
         return p, slope

@@ -177,7 +177,7 @@ def core_rows(hypothesis: Hypothesis, runs: Sequence[Run]) -> tuple[ParameterRow
     names = [p.name for p in baseline.chain.core.parameters]
     held = {*baseline.held, *(k for indices in baseline.effects.values() for k in indices.values())}
     plays = [k for k, name in enumerate(names) if _OF_PLAYS.fullmatch(name) and k not in held]
-    if z.size != len(names) or not plays:
+    if z.size < len(names) or not plays:  # no parameters of the core itself
         return ()
     uncertain, rows = uncertainty(problem, q, runs), []
     for k in plays:
