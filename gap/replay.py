@@ -1,11 +1,14 @@
 """Replay: commands behind the effects of a diagnosis, which the user's own simulator plays to confirm the effects.
 
-    r = effects(u)
+    r = a + b effects(u)
     confirmed = stand_in_with_effects(u) + simulated(r) - stand_in(r)
 
 The diagnosis itself has `simulated(u) - stand_in(u)` in place of the last two terms: it takes from a stand-in how the
 simulator answers the effects. After the replay this answer is the simulator's own. Effects on the command's side can be
 replayed; those in the core or on the output leave the command as it is.
+
+A gain that was identified with an effect, as with most creeps, is no part of the effect. So that the simulator needs
+nothing else, a and b bring stand_in(r) nearest to stand_in_with_effects(u).
 
 Source: Eldred, Giunta, Collis, AIAA 2004-4457, as `logs.simulated`.
 """
@@ -18,14 +21,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from hystmpc.models.identify.cross_validation import Hypothesis
+from hystmpc.models.identify.problem import Problem
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from .decide.attribution import Findings
 from .decide.gap_closed import FinalErrors, final_blocks
 from .diagnosis import ConfirmedShare
-from .logs.preparation import output_corrections
+from .logs.preparation import PreparedTrials, output_corrections
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,12 +83,13 @@ def replays_of(findings: Findings) -> Replays:
     for effects, hypothesis in hypotheses.items() if testable else ():
         if not _on_command(hypothesis):
             continue  # the recorded command, whose output is known
+        commands = _with_gain(prepared, hypothesis)
+        file = f".{'+'.join(_on_command(hypothesis))}.csv"
         for number, (run, stem) in enumerate(zip(prepared.final, files, strict=True)):
-            command = prepared.decades.command * hypothesis.problem.filtered(hypothesis.q, run)
-            played = replace(
-                log[run.name], command=command, source=f"{stem}.{'+'.join(_on_command(hypothesis))}.csv", channels={}
+            command = prepared.decades.command * commands[number]
+            each.append(
+                Replay(effects, number, replace(log[run.name], command=command, source=stem + file, channels={}))
             )
-            each.append(Replay(effects, number, played))
     return Replays(hypotheses, testable, tuple(each))
 
 
@@ -118,6 +125,29 @@ def confirmed_shares(
     shares = errors.shares.of_causes(conclusion.chosen.effects, blocks.__getitem__)
     rmse = decades.angle * float(np.sqrt(blocks[conclusion.chosen.effects].mse))
     return {name: ConfirmedShare(*shares[name]) for name in replays.testable}, rmse
+
+
+def _with_gain(prepared: PreparedTrials, hypothesis: Hypothesis) -> list[Vec]:
+    """Commands (T,) of the final runs behind the effects, with the gain and offset that go with them [cmd]."""
+    given, runs = Problem(prepared.baseline), prepared.final
+    filtered = [hypothesis.problem.filtered(hypothesis.q, run) for run in runs]
+    wanted = [hypothesis.problem.angles(hypothesis.q, run) - run.correction for run in runs]
+    middle = float(np.mean(np.concatenate(filtered)))
+
+    def moved(line: Vec, command: Vec) -> Vec:
+        return middle + line[0] + line[1] * (command - middle)
+
+    def errors(line: Vec) -> Vec:
+        parts = []
+        for run, command, angle in zip(runs, filtered, wanted, strict=True):
+            u = moved(line, command)
+            rest = {"rest_command": float(u[0]), "rest_angle": float(angle[0])}
+            alone = replace(run, command=u, lead=0, approach=(), correction=0.0 * u, **rest)
+            parts.append((given.angles(given.as_given, alone) - angle)[run.counts])
+        return np.concatenate(parts)
+
+    line = least_squares(errors, np.array([0.0, 1.0]), x_scale=(0.1, 0.1), diff_step=1e-3, max_nfev=20).x
+    return [moved(line, command) for command in filtered]
 
 
 def _on_command(hypothesis: Hypothesis) -> list[str]:
