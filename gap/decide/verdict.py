@@ -46,7 +46,9 @@ _NO_CAUSE = 7.0
 _LEAST_CLOSED = 0.4  # share of the structural error that the causes have to close to explain it
 STILL_OPEN = 1.5  # remaining MSE over the floor, below which the error counts as explained all the same
 _CONFIRMED_ALONE, _CONFIRMED_SEVERAL = 0.55, 0.8  # share of the final gap that one cause, or several, must close
-_CONFIRMED_LEFT = 2.4  # RMSE with all causes over noise and model-form error, up to which they are confirmed as well
+# RMSE with all causes over noise and model-form error, up to which they are confirmed as well; of a simulator with a
+# large model-form error nearly everything is within that, so that they must close the least share all the same.
+_CONFIRMED_LEFT = 2.4
 _MOVED = 2.0  # MSE of the simulator as given over that of the retuned one, from which numbers were off ...
 _LOWERED = 1.2  # ... and the same where the retuned one leaves more than its form error had been
 # Least share of the retuned error explained by plays of other weights and widths, for a changed friction.
@@ -237,4 +239,5 @@ def _confirmed(facts: VerdictFacts) -> bool:
     if facts.final is None:
         return True
     enough = _CONFIRMED_SEVERAL if len(facts.effects) > 1 else _CONFIRMED_ALONE
-    return facts.final.closed_share >= enough or facts.final.residual_ratio <= _CONFIRMED_LEFT
+    near = facts.final.residual_ratio <= _CONFIRMED_LEFT and facts.final.closed_share >= _LEAST_CLOSED
+    return facts.final.closed_share >= enough or near
