@@ -75,6 +75,7 @@ class Bench:
             "form_deg": self.ruler.base.rmse_deg,
             "resolution_deg": self.device.resolution_deg,
             "device": self.core.numbers(),
+            "unaffected": self.nominal.core.numbers(),
             "mounting": asdict(self.mounting),
             "seed": self.device.seed,
             "baseline": self.baseline,
@@ -228,7 +229,7 @@ def affected_case(
             **gap,
         }
     )
-    return Case(tuple(trials), bench.simulator, answer, tuple(bench.nominal.true_angles(bench.plan.commands)))
+    return Case(tuple(trials), bench.simulator, answer)
 
 
 def _second(effects: Sequence[Withheld], trials: int) -> tuple[int, ...]:

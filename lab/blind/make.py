@@ -262,7 +262,10 @@ def make_blind(
 
 def _make(job: _CaseJob) -> tuple[str, Answer]:
     case = make_case(job.seed, job.suite, job.number, job.logs)
-    own = job.own_simulator and bool(case.unaffected)
+    own = job.own_simulator and job.suite not in (
+        "controls",
+        "injection",
+    )  # these are made of the simulator, or of logs
     case = replace(case, answer=case.answer.model_copy(update={"own_simulator": own}))
     write_case(job.folder, case)
     return job.folder.name, case.answer

@@ -60,7 +60,7 @@ def record_motion(folder: Path, case: str, motion: Path) -> Path:
     clock_s = sum(lasts_s(len(trial)) for trial in before)
     device = answers[case].blind_device()
     command, log = _command(motion, device.core), folder / "follow_up" / case / f"trial_{len(before) + 1:02d}.csv"
-    (trial,) = device.record([command], len(before), clock_s)
+    (trial,) = answers[case].with_own_output(device.record([command], len(before), clock_s))
     return write_csv(trial, log)
 
 
@@ -75,7 +75,7 @@ def record_again(folder: Path, case: str) -> list[Trial]:
         raise ConfigError(f"{folder}: case {case!r} has no device that could move again")
     device = answers[case].blind_device()
     commands = [trial.command for trial in read_trials([folder / "cases" / case])]
-    return replace(device, seed=device.seed + _ANOTHER_SESSION).record(commands)
+    return answers[case].with_own_output(replace(device, seed=device.seed + _ANOTHER_SESSION).record(commands))
 
 
 def _command(path: Path, core: Core) -> np.ndarray[tuple[int], np.dtype[np.float64]]:

@@ -86,6 +86,7 @@ class Answer(Settings):
         where: density of the retuned error by region, 1 on average.
         second: trials of the second configuration, numbered from 1.
         device, mounting, seed: of the simulated device, to record more of it.
+        unaffected: the device from which the simulator was made.
         baseline: kind of the simulator.
         own_simulator: whether the logs hold what the unaffected device gives, as the user's own simulator.
     """
@@ -108,6 +109,7 @@ class Answer(Settings):
     where: dict[str, float] = Field(default_factory=dict)
     second: tuple[int, ...] = ()
     device: dict[str, Any] = Field(default_factory=dict)
+    unaffected: dict[str, Any] = Field(default_factory=dict)
     mounting: dict[str, float] = Field(default_factory=dict)
     seed: int = 0
     baseline: str = ""
@@ -141,6 +143,17 @@ class Answer(Settings):
         effects = tuple(effect.withheld() for effect in self.effects)
         return BlindDevice(core, self.noise_deg, self.resolution_deg, self.seed, effects)
 
+    def with_own_output(self, trials: Sequence[Trial]) -> list[Trial]:
+        """Trials with what the unaffected device gives, where it is the user's own simulator; as they are otherwise."""
+        if not self.own_simulator:
+            return list(trials)
+        device = BlindDevice(core_of(self.unaffected), 0.0, self.resolution_deg, self.seed)
+        outputs = device.true_angles([trial.command for trial in trials])
+        return [
+            replace(trial, channels={f"{SIMULATED}_{trial.units.angle}": output})
+            for trial, output in zip(trials, outputs, strict=True)
+        ]
+
 
 @dataclass(frozen=True, eq=False)
 class Case:
@@ -148,14 +161,11 @@ class Case:
 
     Attributes:
         simulator: identified on other trials of the unaffected device.
-        unaffected: angles (T,) of that device for the commands of the trials, without noise [deg]; empty for a case
-            that is made of logs or of the simulator.
     """
 
     trials: tuple[Trial, ...]
     simulator: Simulator
     answer: Answer
-    unaffected: tuple[Vec, ...] = ()
 
 
 class Manifest(Settings):
@@ -174,9 +184,7 @@ class Manifest(Settings):
 
 def write_case(folder: Path, case: Case) -> None:
     """Write logs and simulator of one case, with equal names for every case."""
-    for number, trial in enumerate(case.trials, start=1):
-        if case.answer.own_simulator:
-            trial = replace(trial, channels={f"{SIMULATED}_{trial.units.angle}": case.unaffected[number - 1]})
+    for number, trial in enumerate(case.answer.with_own_output(case.trials), start=1):
         write_csv(trial, folder / f"trial_{number:02d}.csv")
     save_simulator(case.simulator, folder / "sim.yaml")
 
