@@ -172,9 +172,9 @@ def prepare(
 
 
 def _stand_in_form_mse(baseline: Baseline, runs: Sequence[Run]) -> float:
-    """Part of the stand-in's error that its correction does not take off [deg^2].
+    """Part of the stand-in's error that its correction does not take off, and the sensor's noise n [deg^2].
 
-        e^2 min(1, (gap / width)^2),  width = gain * loop width
+        n^2 + e^2 min(1, (gap / width)^2),  width = gain * loop width
 
     The error e of a stand-in changes along the way of its plays. On the simulator's own way it is known and taken
     off. A device that is a width of the loop away meets another error of that size.
@@ -183,7 +183,7 @@ def _stand_in_form_mse(baseline: Baseline, runs: Sequence[Run]) -> float:
     errors = [(problem.angles(problem.as_given, run) - run.angle)[run.counts] for run in runs]
     away = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
     width = quantities.get("gain", 0.0) * max(baseline.loop_width(baseline.nominal), 0.0)
-    return _stand_in_rmse(runs) ** 2 * min(1.0, away / max(width, 1e-12)) ** 2
+    return white_noise(errors) ** 2 + _stand_in_rmse(runs) ** 2 * min(1.0, away / max(width, 1e-12)) ** 2
 
 
 def _stand_in_rmse(runs: Sequence[Run]) -> float:
