@@ -18,17 +18,21 @@ from hystmpc.gap.report.words import headline
 from hystmpc.gap.residual import friction_share
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
-from hystmpc.models.identify.baseline import BacklashBaseline, baseline_of
+from hystmpc.models.identify.baseline import BacklashBaseline, FreeCoreBaseline, baseline_of
 from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
 from hystmpc.models.identify.problem import Problem
+from hystmpc.models.identify.runs import runs_of
+from hystmpc.models.identify.uncertainty import core_rows
 from hystmpc.models.operators.hysteresis import Backlash, CurvedPlays
+from hystmpc.models.operators.static_curves import NonlinearGain
 from hystmpc.models.simulator import Residual
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
-from ..models.zoo import BACKLASH, CURVED
+from ..models.zoo import BACKLASH, CURVED, STATIC_PI
 from .engine_examples import DT, moves, simulator_of, sine, trials_of
 
+RANGE = Range(lower=0.0, upper=6.0)
 LOOP_MM = BACKLASH.values[2] - BACKLASH.values[3]
 COMMANDS = [moves(1, 20.0), sine(0.1), moves(2, 20.0), sine(0.2), moves(3, 20.0)]
 KNOWN = (Residual(log="a.csv", motion="continuous", samples=100, rmse_deg=0.06, bias_deg=0.0, lag_one=0.1),)
@@ -144,3 +148,53 @@ def test_widths_of_curved_plays_are_freed_where_the_error_asks_for_it() -> None:
         assert (after.baseline is not prepared.baseline) == free
         assert validation.baseline is after.baseline is retuned.problem.baseline
         assert retuned.mse <= plain.retuned().mse * (0.5 if free else 1.0)
+
+
+CURVE = NonlinearGain(0.03, -0.002, 3.0)
+
+
+def test_a_curve_of_the_simulator_moves_with_its_core() -> None:
+    """Friction or stiffness that has changed moves its travels: a curve that stayed looked like a nonlinear gain."""
+    given = Chain(STATIC_PI, (CURVE,), (NonlinearGain(0.002, 0.0, 50.0),))
+    moved = replace(given, before=(NonlinearGain(0.038, -0.003, 3.0),), after=(NonlinearGain(0.0015, 1e-6, 50.0),))
+    trials = trials_of(moved, COMMANDS, noise_deg=0.0)
+    retuned = CrossValidation(baseline_of(given, RANGE), runs_of(trials)).retuned()
+    assert retuned.mse**0.5 < 0.002
+    without = CrossValidation(baseline_of(Chain(STATIC_PI), RANGE), runs_of(trials)).retuned()
+    assert without.mse**0.5 > 0.05
+    assert {row.name for row in core_rows(retuned, runs_of(trials))} >= {"a1"}
+
+
+def test_a_further_nonlinear_gain_is_no_retuning() -> None:
+    """It is larger than what friction and stiffness move a curve by."""
+    given = Chain(STATIC_PI, (CURVE,))
+    trials = trials_of(Chain(STATIC_PI, (NonlinearGain(0.12, -0.002, 3.0),)), COMMANDS, noise_deg=0.0)
+    retuned = CrossValidation(baseline_of(given, RANGE), runs_of(trials)).retuned()
+    assert retuned.mse**0.5 > 0.3
+
+
+def test_curved_plays_have_one_friction() -> None:
+    """Half-widths that are larger by one factor are retuned as such: with fixed ones other slopes only come near."""
+    widths = [p.name.startswith("r") for p in CURVED.parameters]
+    device = CURVED.with_values([v * (1.6 if w else 1.0) for v, w in zip(CURVED.values, widths, strict=True)])
+    runs = runs_of(trials_of(Chain(device), COMMANDS, noise_deg=0.0))
+    fixed, free = (
+        CrossValidation(baseline, runs).retuned()
+        for baseline in (FreeCoreBaseline(Chain(CURVED), RANGE), baseline_of(Chain(CURVED), RANGE))
+    )
+    assert free.mse**0.5 < 0.01
+    assert fixed.mse**0.5 > 5 * free.mse**0.5
+    assert free.z[widths.index(True)] == pytest.approx(1.6 * CURVED.radii[0], rel=0.02)
+
+
+@pytest.mark.parametrize("chain", [Chain(CURVED, (CURVE,)), Chain(BACKLASH, (), (CURVE,)), Chain(CURVED)])
+def test_the_derivative_of_the_chain_by_the_unknowns_is_exact(chain: Chain) -> None:
+    baseline = baseline_of(chain, RANGE)
+    z = baseline.nominal + 0.01 * baseline.scale
+    values, slope = baseline.chain_values(z)
+    assert slope.shape == (chain.values.size, z.size)
+    for k, step in enumerate(1e-6 * np.maximum(np.abs(z), 1.0)):
+        up, down = (baseline.chain_values(z + way * step * np.eye(z.size)[k])[0] for way in (1, -1))
+        np.testing.assert_allclose((up - down) / (2 * step), slope[:, k], atol=1e-6)
+    np.testing.assert_allclose(baseline.chain_values(baseline.nominal)[0], chain.values, rtol=1e-12)
+    assert np.isfinite(values).all()
