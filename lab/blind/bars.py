@@ -172,6 +172,7 @@ def chance(cases: Sequence[ScoredCase]) -> float:
 
 _CONFIDENT = 0.8
 _NEAR_ORACLE = 0.10
+_NEAR_SAID = 0.10
 HEALTHY = ("none", "misset", "controls", "retuned")
 """Suites of devices that lack nothing which other numbers of the simulator would not give."""
 
@@ -195,6 +196,7 @@ def bars(cases: Sequence[ScoredCase]) -> list[Bar]:
         _share("named effects that close less than nothing", _named(cases), closes_less_than_nothing, 0.0, good=False),
         _oracle(single),
         _coverage(clear),
+        _share("own simulator: confirmed near the said share", [c for c in cases if c.confirmed], _confirms, 0.9),
         _localisation(single),
         _calibrated(cases),
         _resolved(cases),
@@ -336,6 +338,10 @@ def _coverage(cases: Sequence[ScoredCase]) -> Bar:
     found = rate(told, covered)
     misses = tuple(case.name for case in told if not covered(case))
     return Bar("90 % intervals cover", found.value, (0.85, 0.95), found.cases, misses, found.ci90)
+
+
+def _confirms(case: ScoredCase) -> bool:
+    return all(abs(said - confirmed) <= _NEAR_SAID for said, confirmed in case.confirmed)
 
 
 def rightly_named(cases: Sequence[ScoredCase]) -> list[ScoredCase]:

@@ -150,6 +150,7 @@ class ScoredCase:
         followed: the diagnosis after the proposed motion was recorded, if any.
         oracle: closed share of a diagnosis that was given the classes, if any.
         again: closed share of the causes in another session of the device, if any.
+        confirmed: closed share of each replayed effect, as said and as the user's own simulator confirms it.
         orders: names in each other order of the files, if any.
     """
 
@@ -160,6 +161,7 @@ class ScoredCase:
     oracle: float | None = None
     seconds: float | None = None
     again: float | None = None
+    confirmed: tuple[tuple[float, float], ...] = ()
     orders: tuple[frozenset[str], ...] = ()
 
     @property
@@ -212,23 +214,22 @@ def load_scored(folder: Path, partial: bool = False) -> list[ScoredCase]:
 
 
 def _one(folder: Path, name: str, answer: Answer) -> ScoredCase:
-    path, seconds, again = folder / "diagnoses" / name, None, None
-    others: dict[str, str] = {}
+    path, beside = folder / "diagnoses" / name, dict[str, Any]()
     if not (path / DIAGNOSIS).is_file():
         return ScoredCase(name, answer, DiagnosisReading(FAILED))
     if (path / BESIDE).is_file():
         beside = json.loads((path / BESIDE).read_text(encoding="utf-8"))
-        seconds, others, again = beside.get("seconds"), beside.get("others", {}), beside.get("closed_again")
     followed = folder / "follow_up_diagnoses" / name / DIAGNOSIS
     oracle = folder / "oracle" / name / DIAGNOSIS
     return ScoredCase(
         name,
         answer,
-        read_diagnosis(path / DIAGNOSIS, others),
+        read_diagnosis(path / DIAGNOSIS, beside.get("others", {})),
         read_diagnosis(followed) if followed.is_file() else None,
         read_diagnosis(oracle).closed_share if oracle.is_file() else None,
-        seconds,
-        again,
+        beside.get("seconds"),
+        beside.get("closed_again"),
+        tuple((said, confirmed) for said, confirmed in beside.get("confirmed", ())),
         orders_said(folder, name),
     )
 

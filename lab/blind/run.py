@@ -14,6 +14,8 @@ import numpy as np
 from hystmpc.gap.decide.attribution import Findings
 from hystmpc.gap.decide.gap_closed import FinalErrors, without_sawtooth
 from hystmpc.gap.logs.preparation import prepare
+from hystmpc.gap.logs.simulated import as_simulated
+from hystmpc.gap.replay import confirmed_shares, replays_of
 from hystmpc.models.simulator import Simulator
 from hystmpc.sim.jobs import attempt, backend_for, run_jobs
 from hystmpc.trials.csv_files import write_csv
@@ -236,7 +238,19 @@ def _beside(findings: Findings, trials: Sequence[Trial], simulator: Simulator, j
     if findings.conclusion.closed.causes:
         with suppress(ConfigError):  # logs of a real device
             found["closed_again"] = closed_in_later_session(findings, record_again(job.folder, job.case))
+    if findings.prepared.stand_in_rmse_deg is not None:
+        found["confirmed"] = _confirmed(findings, job)
     return found
+
+
+def _confirmed(findings: Findings, job: DiagnosisJob) -> list[tuple[float, float]]:
+    """Closed share of each replayed effect as said, and as the unaffected device confirms it."""
+    replays, answer = replays_of(findings), open_answers(job.folder)[job.case]
+    if not replays.each:
+        return []
+    played = [as_simulated(trial) for trial in answer.with_own_output(replays.trials)]
+    shares, causes = confirmed_shares(findings, replays, played)[0], findings.conclusion.closed.causes
+    return [(causes[name].share, one.closed_share) for name, one in shares.items()]
 
 
 def diagnose_all(todo: Sequence[DiagnosisJob], processes: int, progress: Progress | None) -> int:
