@@ -141,8 +141,8 @@ def _with_gain(prepared: PreparedTrials, hypothesis: Hypothesis) -> list[Vec]:
         parts = []
         for run, command, angle in zip(runs, filtered, wanted, strict=True):
             u = moved(line, command)
-            rest = {"rest_command": float(u[0]), "rest_angle": float(angle[0])}
-            alone = replace(run, command=u, lead=0, approach=(), correction=0.0 * u, **rest)
+            still = replace(run, command=u, rest_command=float(u[0]), rest_angle=float(angle[0]))
+            alone = replace(still, lead=0, approach=(), correction=0.0 * u)
             parts.append((given.angles(given.as_given, alone) - angle)[run.counts])
         return np.concatenate(parts)
 

@@ -145,9 +145,10 @@ def test_the_result_has_the_fixed_form() -> None:
         "unit",
         "command_unit",
     }
-    third = {"simulator", "stand_in_rmse_deg"}
+    third = {"simulator", "stand_in_rmse_deg", "replay", "confirmed", "confirmed_rmse_deg"}
     assert set(read) == set(KEYS) | {"reason", "notes", "next_motion", "tracking"} | second | third
     assert (read["simulator"], read["stand_in_rmse_deg"]) == ("given", None)
+    assert (read["replay"], read["confirmed"], read["confirmed_rmse_deg"]) == ([], {}, None)
     assert (read["order"], read["untestable"]) == ("known", [])
     assert read["stability"] == 1.0
     assert read["resamples"] >= 8
