@@ -246,7 +246,7 @@ def _beside(findings: Findings, trials: Sequence[Trial], simulator: Simulator, j
 def _confirmed(findings: Findings, job: DiagnosisJob) -> list[tuple[float, float]]:
     """Closed share of each replayed effect as said, and as the unaffected device confirms it."""
     replays, answer = replays_of(findings), open_answers(job.folder)[job.case]
-    if not replays.each:
+    if not (replays.each and answer.own_simulator):
         return []
     played = [as_simulated(trial) for trial in answer.with_own_output(replays.trials)]
     shares, causes = confirmed_shares(findings, replays, played)[0], findings.conclusion.closed.causes
