@@ -111,6 +111,11 @@ def test_files_that_the_user_plays_confirm_as_well(tmp_path: Path) -> None:
     assert sorted(found.replay) == sorted(file.name for file in (out / "replay").iterdir())
     assert len(found.replay) == len(found.gap.final_trials)
     assert "--confirm" in (out / "report.html").read_text(encoding="utf-8")
+    logs = {Path(trial.source).stem: trial for trial in trials}
+    for name in found.replay:  # what the simulator alone gives is the device's angle
+        command = np.genfromtxt(out / "replay" / name, delimiter=",", names=True)["command"]
+        error = own_simulator(command) - logs[name.split(".")[0]].angle
+        assert np.sqrt(np.mean(error**2)) < 0.3 * found.gap.nominal_rmse_deg
     play(out / "replay", tmp_path / "played")
     again = diagnosed(trials, out=out, confirm=tmp_path / "played")
     assert again.confirmed_rmse_deg is not None
