@@ -75,11 +75,15 @@ def replays_of(findings: Findings) -> Replays:
     names, validation = chosen.effects, findings.attribution.validation
     testable = tuple(_on_command(chosen))
     hypotheses = {names: chosen}
-    for name in sorted(names):
+    for name in sorted(names) if testable else ():
         kept = names - {name}
         part = validation.polished(validation.without(chosen, {name})) if kept else findings.attribution.retuned
         hypotheses[kept] = part
-    each, files, log = [], _file_names([run.name for run in prepared.final]), {t.source: t for t in _logs(findings)}
+    each, files, log = (
+        [],
+        _file_names([run.name for run in prepared.final]),
+        {t.source: t for t in prepared.checked.trials},
+    )
     for effects, hypothesis in hypotheses.items() if testable else ():
         if not _on_command(hypothesis):
             continue  # the recorded command, whose output is known
@@ -152,10 +156,6 @@ def _with_gain(prepared: PreparedTrials, hypothesis: Hypothesis) -> list[Vec]:
 
 def _on_command(hypothesis: Hypothesis) -> list[str]:
     return sorted(c.effect for c in hypothesis.problem.effects if c.side == "command" and c.operators)
-
-
-def _logs(findings: Findings) -> Sequence[Trial]:
-    return findings.prepared.checked.trials
 
 
 def _file_names(sources: Sequence[str]) -> list[str]:

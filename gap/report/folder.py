@@ -116,10 +116,10 @@ def _write(data: ReportData, run: RunFolder) -> None:
 def _write_replays(replays: Sequence[Trial], folder: Path) -> None:
     """Write a file of each command, `time_s` and the command, in place of older ones.
 
-    A file with more columns holds the output of the user's simulator, and is left as it is.
+    A file with other columns holds the output of the user's simulator, and is left as it is.
     """
     for old in folder.glob("*.csv"):
-        if _columns(old) == 2:
+        if _is_command_alone(old):
             old.unlink()
     for trial in replays:
         folder.mkdir(exist_ok=True)
@@ -128,9 +128,10 @@ def _write_replays(replays: Sequence[Trial], folder: Path) -> None:
             write_atomically(folder / trial.source, format_table(columns))
 
 
-def _columns(file: Path) -> int:
+def _is_command_alone(file: Path) -> bool:
     with file.open(encoding="utf-8", errors="replace") as text:
-        return len(text.readline().split(","))
+        time, *others = text.readline().strip().split(",")
+    return time == "time_s" and len(others) == 1 and others[0].startswith("command")
 
 
 def _log(data: ReportData) -> dict[str, Any]:

@@ -132,12 +132,13 @@ def test_what_the_user_has_played_is_never_replaced(tmp_path: Path) -> None:
     trials, out = trials_of(lagged), tmp_path / "d"
     diagnosed(trials, out=out)
     play(out / "replay", out / "replay")
+    (out / "replay" / "notes.csv").write_text("time_s,simulated_deg\n0,1\n")
     before = {file.name: file.read_bytes() for file in (out / "replay").iterdir()}
     diagnosed(trials, out=out)
     again = diagnosed(trials, out=out, confirm=out / "replay")
     assert {file.name: file.read_bytes() for file in (out / "replay").iterdir()} == before
     assert again.confirmed["lag"].closed_share > 0.9
-    wrong = sorted(before)[0]
+    wrong = again.replay[0]
     write_csv(with_output(trials[0], np.zeros(len(trials[0]))), out / "replay" / wrong)
     with pytest.raises(GapError, match=r"its command differs by .* mm RMS from that of"):
         diagnosed(trials, confirm=out / "replay")
