@@ -68,7 +68,9 @@ def perfect(cases: Sequence[Answer]) -> list[ScoredCase]:
     for k, truth in enumerate(cases):
         reading = named(*truth.labels, probability=1.0) if truth.labels else DiagnosisReading(truth.truth)
         reading = replace(reading, groups=(frozenset((1, 4)), frozenset(truth.second)))
-        found.append(ScoredCase(f"{k:03d}", truth, reading, oracle=0.9 if truth.labels else None, again=0.9))
+        closed = 0.9 if truth.labels else None
+        confirmed = tuple((0.9, 0.9) for _ in truth.labels)
+        found.append(ScoredCase(f"{k:03d}", truth, reading, oracle=closed, again=0.9, confirmed=confirmed))
     return found
 
 

@@ -52,6 +52,18 @@ def test_a_perfect_diagnoser_meets_every_bar_that_is_measured() -> None:
     assert score_of(perfect(all_answers())).misses() == []
 
 
+def test_a_share_that_the_users_simulator_does_not_confirm_misses_its_bar() -> None:
+    name = "own simulator: confirmed near the said share"
+    cases = perfect(all_answers())
+    assert by_name(cases)[name] == 1.0
+    assert math.isnan(by_name([replace(case, confirmed=()) for case in cases])[name])
+    far = [replace(case, confirmed=tuple((0.9, 0.6) for _ in case.confirmed)) for case in cases]
+    assert by_name(far)[name] == 0.0
+    # One effect of several that is not confirmed is enough.
+    several = replace(cases[0], confirmed=((0.9, 0.9), (0.5, 0.9)))
+    assert by_name([several])[name] == 0.0
+
+
 def test_always_none_has_no_false_alarm_and_no_recall() -> None:
     found = by_name(always(all_answers(), DiagnosisReading("none")))
     assert found["false alarms"] == 0.0
