@@ -40,10 +40,10 @@ enum {
 /* Hold at a constant reference, see `HoldSettings` in ctrl/mpc_settings.py. */
 typedef struct {
     real tolerance;  /* [deg] */
+    real close_tolerance; /* the same where the model is as close to the device as its file says [deg] */
     real step;       /* resolution of the sensor [deg] */
     real sigmas;     /* standard deviations of the disturbance at which a hold is left */
     int patience;    /* samples, at least 1 */
-    int lead;
     int settle_after, settle;
 } hystmpc_hold;
 

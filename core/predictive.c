@@ -74,23 +74,28 @@ static real farthest(const real *angles, int count, real shift, real target) {
     return most_off;
 }
 
-/* Whether to hold now: the reference and its next `lead` samples have come to rest, and the held command keeps the angle
- * close to it: within the tolerance, and one standard deviation of the disturbance more for each `patience` that has
+/* A setting by the probability that the model is as close to the device as its file says. Then moves cost little, since
+ * they are those of the reference, and holds are exact. Where it is not, the estimate of its error makes moves of its own,
+ * and a lag that the model lacks an oscillation. In between the logarithms are weighted: of two values a hundredfold apart
+ * a mean is the greater one. */
+static real between(real far, real close, real probability) {
+    return probability < R(1.0) && far != close ? far * MATH(pow)(close / far, probability) : close;
+}
+
+/* Whether to hold now: the reference has come to rest, and the held command keeps the angle close to it: within the tolerance, and one standard deviation of the disturbance more for each `patience` that has
  * passed, since noise may prevent a closer approach; once held, `sigmas` of them.
  *
  * A reading of resolution q is constant while the angle stays within q / 2 of it. At rest the estimate drifts to the
  * reading, and corrections would go on until the reading changes, then reverse: a limit cycle. Once held, q more is close
  * enough: an angle within q / 2 of the wanted one is never left, one more than 3 q / 2 away always is.
  *
- * A longer lead would let the command cross the dead band before the reference turns: on a dead band as flat as the
- * model's that is free, on a device that answers there it moves the tip in a hold. */
+ * When the reference will move again, the hold is left as late as `can_wait` says. */
 static void judge_hold(const hystmpc_hold *rule, hystmpc_head *head, const hystmpc_given *g, const real *held,
-                       int horizon) {
-    const int held_before = head->holding, lead = rule->lead < horizon ? rule->lead : horizon;
+                       int horizon, real tolerance) {
+    const int held_before = head->holding;
     const real now = g->reference[0];
     head->holding = 0;
-    if (!(absolute(now - head->hold_target) <= rule->tolerance) ||
-        (rule->lead > 1 && farthest(g->reference, lead, R(0.0), head->hold_target) > rule->tolerance)) {
+    if (!(absolute(now - head->hold_target) <= tolerance)) {
         head->constant = 0;
         head->hold_target = now;
         return;
@@ -98,10 +103,10 @@ static void judge_hold(const hystmpc_hold *rule, hystmpc_head *head, const hystm
     head->constant = hystmpc_later(head->constant);
     const real waited = least((real)(head->constant / rule->patience), rule->sigmas);
     const real more = held_before ? rule->sigmas * g->sigma + rule->step : waited * g->sigma;
-    head->holding = farthest(held, horizon, g->disturbance, head->hold_target) <= rule->tolerance + more;
-    /* What the model knows of the way of a held angle, creep for one, is no noise. */
+    head->holding = farthest(held, horizon, g->disturbance, head->hold_target) <= tolerance + more;
+    /* What the model knows of the way of a held angle, creep for one, is no noise; what it has learned may be. */
     head->crept = held_before && horizon > 1 ? head->crept + held[1] - held[0] : R(0.0);
-    head->holding = head->holding && absolute(head->crept) <= R(3.0) * rule->tolerance;
+    head->holding = head->holding && absolute(head->crept) <= R(3.0) * tolerance + more;
 }
 
 /* In a hold the plan within u_last -+ k error / (slope settle), k = 1, 2, ...; whether it has changed. Where the model has a
@@ -137,29 +142,64 @@ HYSTMPC_LOCAL long hystmpc_predictive_room(const hystmpc_problem *p) {
     return ROOM_LINE + planning_room(p) + room_for(p->law->planner->law->horizon);
 }
 
-/* The plan improved, and in a hold limited. */
-static void improve_plan(const planning *q, hystmpc_head *head, const hystmpc_given *g, const hystmpc_task *task,
-                         hystmpc_plan *best, hystmpc_proposal *out) {
-    const real error = farthest(q->angles + HYSTMPC_HELD * q->horizon, q->horizon, g->disturbance, head->hold_target);
-    const int answer = hystmpc_improve(q->planner, q->problem->model, q->x, task, best, &head->draws, q->room);
-    refuse_plan(out, status_of_planner(answer), answer);
-    if (out->status == HYSTMPC_OK && limit_correction(q->problem, head, best->commands, g->u_last, error) &&
-        hystmpc_model_run(q->problem->model, q->x, 1, q->horizon, best->commands, best->angles, q->room))
-        refuse_plan(out, HYSTMPC_FAILED, 0);
+/* The sample of the preview in which a constant reference moves again; the horizon where it does not. */
+static int next_motion(const hystmpc_head *head, const hystmpc_given *g, int horizon, real tolerance) {
+    int k = 0;
+    while (k < horizon && absolute(g->reference[k] - head->hold_target) <= tolerance) k++;
+    return k;
 }
 
-/* Moves cost little where the model is as close to the device as its file says: then they are those of the reference.
- * Where it is not, the estimate of its error makes moves of its own, and a lag that the model lacks an oscillation. In
- * between the logarithms are weighted: of two weights a hundredfold apart a mean is the greater one. */
-static real rate_weight(const hystmpc_problem *p, const hystmpc_given *g) {
-    const real far = p->law->rate_weight, close = p->law->close_rate_weight;
-    return g->close < R(1.0) ? far * MATH(pow)(close / far, g->close) : close;
+/* Whether the plan can begin one sample later: from `motion` on its angles then come as near to the wanted ones. The plan
+ * that begins later is left in `late`. Answers a negative number where the model from outside has failed.
+ *
+ * A command that has to cross a dead band, or to go through a drive, within its greatest rate begins before the reference
+ * does; not earlier than it has to, since the device may answer. Nearer than the hold's tolerance and a standard deviation of
+ * the disturbance is no reason. */
+static int can_wait(const planning *q, const hystmpc_given *g, const hystmpc_task *task, const hystmpc_plan *best,
+                    int motion, const hystmpc_plan *late) {
+    const hystmpc_law *l = q->planner->law;
+    const real tolerance = q->problem->law->hold->tolerance + g->sigma;
+    copy(best->commands, late->commands, q->horizon);
+    late->commands[0] = task->u_last;
+    hystmpc_clip_plan(q->horizon, l->lower, l->upper, l->reach, task->u_last, late->commands);
+    if (hystmpc_model_run(q->problem->model, q->x, 1, q->horizon, late->commands, late->angles, q->room)) return -1;
+    int near = 1;
+    for (int k = motion; k < q->horizon; k++)
+        near &= absolute(late->angles[k] - task->reference[k]) <= absolute(best->angles[k] - task->reference[k]) + tolerance;
+    return near;
+}
+
+/* The plan improved; while the reference is constant it waits or is limited. */
+static void improve_plan(const planning *q, hystmpc_head *head, const hystmpc_given *g, const hystmpc_task *task,
+                         hystmpc_plan *best, hystmpc_proposal *out, int motion) {
+    const real error = farthest(q->angles + HYSTMPC_HELD * q->horizon, q->horizon, g->disturbance, head->hold_target);
+    const hystmpc_plan late = {q->plans + HYSTMPC_HELD * q->horizon, q->angles + HYSTMPC_HELD * q->horizon, R(0.0)};
+    const int answer = hystmpc_improve(q->planner, q->problem->model, q->x, task, best, &head->draws, q->room);
+    int waits = 1;
+    refuse_plan(out, status_of_planner(answer), answer);
+    if (out->status != HYSTMPC_OK) return;
+    if (motion < q->horizon && head->constant > 0) {
+        waits = can_wait(q, g, task, best, motion, &late);
+        if (waits < 0) refuse_plan(out, HYSTMPC_FAILED, 0);
+        if (waits < 0) return;
+        if (waits && head->holding) {
+            copy(late.commands, best->commands, q->horizon);
+            copy(late.angles, best->angles, q->horizon);
+            return;
+        }
+        if (!waits) head->holding = 0;
+    }
+    if (waits && limit_correction(q->problem, head, best->commands, g->u_last, error) &&
+        hystmpc_model_run(q->problem->model, q->x, 1, q->horizon, best->commands, best->angles, q->room))
+        refuse_plan(out, HYSTMPC_FAILED, 0);
 }
 
 /* The wanted command and the plan behind it; the caller restores the head where there is none. */
 HYSTMPC_LOCAL void hystmpc_propose_plan(const hystmpc_problem *p, hystmpc_head *head, const hystmpc_given *g,
                                         hystmpc_proposal *out, char *room) {
-    const int h = p->law->planner->law->horizon, resting = head->constant > 0;
+    const int h = p->law->planner->law->horizon;
+    const real tolerance = between(p->law->hold->tolerance, p->law->hold->close_tolerance, g->close);
+    const int motion = next_motion(head, g, h, tolerance), resting = head->constant > 0 && motion == h;
     room = room_begin(room);
     real *wanted = room_take(&room, h);
     hystmpc_plan best = {out->commands, out->angles, R(0.0)};
@@ -173,15 +213,17 @@ HYSTMPC_LOCAL void hystmpc_propose_plan(const hystmpc_problem *p, hystmpc_head *
     }
     /* At rest most steps hold, and look no further. */
     const int first = resting && count > HYSTMPC_FOLLOWING ? HYSTMPC_FOLLOWING : count;
-    const hystmpc_task task = {wanted, q.plans + HYSTMPC_INVERTED * h, g->u_last, rate_weight(p, g), p->law->angle_low - g->disturbance,
-                               p->law->angle_high - g->disturbance, NULL};
+    const real rate_weight = between(p->law->rate_weight, p->law->close_rate_weight, g->close);
+    const hystmpc_task task = {wanted, q.plans + HYSTMPC_INVERTED * h, g->u_last, rate_weight,
+                               p->law->angle_low - g->disturbance, p->law->angle_high - g->disturbance, NULL};
     if (predict_candidates(&q, 0, first)) {
         refuse_plan(out, HYSTMPC_FAILED, 0);
         return;
     }
-    judge_hold(p->law->hold, head, g, q.angles + HYSTMPC_HELD * h, h);
-    take_cheapest(&q, &task, 0, head->holding ? HYSTMPC_HELD + 1 : first, &best);
-    if (!head->holding) {
+    judge_hold(p->law->hold, head, g, q.angles + HYSTMPC_HELD * h, h, tolerance);
+    const int still = head->holding && motion == h;
+    take_cheapest(&q, &task, 0, still ? HYSTMPC_HELD + 1 : first, &best);
+    if (!still) {
         if (predict_candidates(&q, first, count)) {
             refuse_plan(out, HYSTMPC_FAILED, 0);
             return;
@@ -190,7 +232,7 @@ HYSTMPC_LOCAL void hystmpc_propose_plan(const hystmpc_problem *p, hystmpc_head *
     }
     refuse_plan(out, HYSTMPC_OK, 0);
     if (!is_finite(best.cost)) refuse_plan(out, HYSTMPC_NO_PLAN, HYSTMPC_NO_PREDICTION);
-    else if (!head->holding) improve_plan(&q, head, g, &task, &best, out);
+    else if (!still) improve_plan(&q, head, g, &task, &best, out, motion);
     if (out->status != HYSTMPC_OK) return;
     out->u = best.commands[0];
     out->source = HYSTMPC_MPC;

@@ -107,8 +107,25 @@ static void preview_lead(const hystmpc_predictor *drive, const real *x, const re
     hystmpc_lead_drive(drive->chain, drive->kept, x, wanted, samples, u_last, reach, inputs, outputs, room);
 }
 
+/* The travel within the rate limit backwards in time, so that a jump arrives when it has to; whether that changes it. */
+static int preview_arrive(int samples, real reach, real *travel) {
+    int changed = 0;
+    for (int k = samples - 2; k >= 0; k--) {
+        const real here = clamp(travel[k], travel[k + 1] - reach, travel[k + 1] + reach);
+        changed |= here != travel[k];
+        travel[k] = here;
+    }
+    return changed;
+}
+
+/* The travel within the rate limit forwards in time, so that a jump departs no earlier than it has to. */
+static void preview_depart(int samples, real reach, real last, real *travel) {
+    for (int k = 0; k < samples; k++) last = travel[k] = clamp(travel[k], last - reach, last + reach);
+}
+
 /* With dynamics before and behind the model: first the travel is planned, then the commands whose drive follows it
- * within the rate limit. Both plans are equal, since the drive needs that limit. */
+ * within the rate limit. A jump is spread to either side in row 1, which follows the travel best; in row 0 it arrives in
+ * time, which crosses a dead band best. */
 static int preview_driven(const preview_task *t, real reach, real *plans, char *room) {
     const hystmpc_inverse *const v = t->inverse;
     const hystmpc_predictor *const front = v->front, *const inner = v->predictor;
@@ -144,9 +161,16 @@ static int preview_driven(const preview_task *t, real reach, real *plans, char *
                                     room);
     if (failed) return failed;
     copy(free_plan, travel + first, samples - first);
-    if (front) preview_lead(front, t->x, travel, samples, t->u_last, reach, held, outputs, room);
-    for (int k = 0; k < samples; k++)
-        plans[k] = plans[samples + k] = clamp(front ? held[k] : travel[k], t->low, t->high);
+    if (!front) copy(travel, plans, samples);
+    else {
+        preview_depart(samples - first, reach, last, travel + first);
+        preview_lead(front, t->x, travel, samples, t->u_last, reach, plans, outputs, room);
+    }
+    copy(plans, plans + samples, samples);
+    copy(free_plan, travel + first, samples - first);
+    if (front && preview_arrive(samples - first, reach, travel + first))
+        preview_lead(front, t->x, travel, samples, t->u_last, reach, plans, outputs, room);
+    for (int k = 0; k < 2 * samples; k++) plans[k] = clamp(plans[k], t->low, t->high);
     return 0;
 }
 

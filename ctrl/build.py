@@ -13,7 +13,7 @@ from .learning.predictor import LearnedInverse, LearnedPredictor
 from .linearised.program import IterativeSolution
 from .linearised.qp import OsqpOptions
 from .mpc_settings import LinearisedMpcSettings, PredictiveSettings
-from .problem import problem_of
+from .problem import is_first_guess, problem_of
 
 
 def build_controller(
@@ -37,18 +37,19 @@ def build_controller(
     if theirs := getattr(settings, "law", None):
         states = known.part.fields["states"] if observer.has_model else 0
         law = LawPart(theirs(predictor, inverse, limits), int(states))
-    solve = _solution(settings, limits, predictor.dt)
+    solve = _solution(settings, inverse, limits, predictor.dt)
     problem = problem_of(settings, predictor, inverse, limits, observer=observer, law=law, solve=solve)
     rest = known.initial if observer.has_model else None
     return GuardedController(problem, limits, observer, rest, law, solve)
 
 
-def _solution(settings: LawSettings, limits: CommandLimits, dt: float) -> IterativeSolution | None:
+def _solution(settings: LawSettings, inverse: Inverse, limits: CommandLimits, dt: float) -> IterativeSolution | None:
     """Solution of quadratic programs by OSQP, where the settings ask for it."""
     if not isinstance(settings, LinearisedMpcSettings) or settings.solver == "active_set":
         return None
     options, horizon = OsqpOptions(eps=settings.solver_eps), settings.preview_samples(dt)
-    return IterativeSolution(settings.weights, limits, horizon, dt, settings.blocks(dt), options)
+    weights = settings.weights.discounted(is_first_guess(inverse))
+    return IterativeSolution(weights, limits, horizon, dt, settings.blocks(dt), options)
 
 
 def pair_for(settings: AnyControllerSettings | LawSettings, model: ControllerModel) -> tuple[Predictor, Inverse]:

@@ -17,26 +17,33 @@ from .feedback import SupervisorSettings
 from .law import LawSettings
 
 
+_DISCOUNT_FROM_A_GUESS = 0.75
+
+
 class WeightsSettings(Settings):
     """Weights of the planning cost.
 
     Attributes:
         tracking: squared angle error [1/deg^2].
-        terminal: factor on `tracking` at the last sample; without a sensor 1 where left out.
+        discount: factor on `tracking` from one sample of the preview to the next; null for 1, or 0.75 where the inverse is
+            only a first guess, see `steady_inverse`. The program then has many local minima: the angle of the next sample
+            is not to be given up for those of far ones.
+        terminal: factor on `tracking` at the last sample.
         rate: squared command change per sample [1/mm^2 or 1/bar^2].
         rate_close: the same where the model is as close to the device as its file says, and without a sensor; `rate`
             where that alone is given. In between their logarithms are weighted by the probability of that, see
             `NoiseBank`.
-        effort: squared distance from the inverse plan [1/mm^2 or 1/bar^2]; without a sensor 0 where left out.
+        effort: squared distance from the inverse plan [1/mm^2 or 1/bar^2].
         soft_limit: squared excess over the soft angle limits [1/deg^2].
         angle_lower_deg, angle_upper_deg: soft limits of the angle [deg]; null for none.
     """
 
     tracking: Positive = 1.0
-    terminal: NotNegative = 2.0
+    discount: Annotated[float, Field(gt=0, le=1)] | None = None
+    terminal: NotNegative = 1.0
     rate: Positive = 3.0
     rate_close: Positive = 0.01
-    effort: NotNegative = 0.01
+    effort: NotNegative = 0.0
     soft_limit: NotNegative = 100.0
     angle_lower_deg: float | None = None
     angle_upper_deg: float | None = None
@@ -68,9 +75,14 @@ class WeightsSettings(Settings):
         """Whether there is a soft angle limit."""
         return self.soft_limit > 0 and any(math.isfinite(v) for v in self.angle_limits_deg)
 
+    def discounted(self, first_guess: bool) -> WeightsSettings:
+        """Return these weights with a discount; `first_guess`: whether the inverse is only a first guess of a plan."""
+        usual = _DISCOUNT_FROM_A_GUESS if first_guess else 1.0
+        return self if self.discount is not None else self.model_copy(update={"discount": usual})
+
     def over(self, horizon: int) -> Vec:
         """Return the tracking weights along the horizon, shape (H,)."""
-        along = np.full(horizon, self.tracking)
+        along = self.tracking * (1.0 if self.discount is None else self.discount) ** np.arange(horizon)
         along[-1] *= self.terminal
         return along
 
@@ -79,17 +91,16 @@ class HoldSettings(Settings):
     """Hold of the command, and slow correction of a remaining error; see core/predictive.c, which counts samples.
 
     Attributes:
-        tolerance_deg: distance from the reference that always counts as reached [deg]; null for 0.01, or 0.03 where the
-            model's file says that the sensor's readings have steps; without a sensor 0.001 where left out.
+        tolerance_deg: distance from the reference that always counts as reached [deg]; null for 0.01 to 0.001 by the
+            probability that the model is close, see `rate_close`, and 0.03 where the model's file says that the sensor's
+            readings have steps.
         patience_s: time of constant reference for which one more standard deviation is allowed for [s].
-        lead_s: preview that is used [s].
         settle_after_s: time of constant reference after which corrections are limited [s].
         settle_s: time over which a limited correction removes an error at the model's static gain [s]; 0 for no limit.
     """
 
     tolerance_deg: NotNegative | None = None
     patience_s: NotNegative = 0.4
-    lead_s: NotNegative = 0.0
     settle_after_s: NotNegative = 0.4
     settle_s: NotNegative = 0.12
 
@@ -106,17 +117,9 @@ class AdaptationSettings(Settings):
     walk_share: NotNegative = 0.01
 
 
-# Without a sensor the model is all there is, and nothing makes a plan of its inverse's cost hunt.
-_OF_THE_INVERSE = {"weights": {"terminal": 1.0, "effort": 0.0}, "hold": {"tolerance_deg": 0.001}}
 _LEAST_SAMPLES, _MOST_SAMPLES, _PREVIEW_S = 20, 60, 0.24  # of a preview whose length is not given
 _ALIKE = 3  # blocks of one length
 _SIGMA_SHARE = 0.1  # of the greatest move of a sample: larger perturbations would cross kinks of the model
-
-
-def _completed(block: Any, defaults: dict[str, float]) -> Any:
-    """The block of settings with other defaults; one that is none is refused later."""
-    given = block.model_dump(exclude_unset=True) if isinstance(block, Settings) else {} if block is None else block
-    return {**defaults, **given} if isinstance(given, dict) else given
 
 
 class PredictiveSettings(LawSettings):
@@ -144,7 +147,7 @@ class PredictiveSettings(LawSettings):
     @model_validator(mode="before")
     @classmethod
     def _defaults_of_the_sensor(cls, data: Any) -> Any:
-        """Fill in defaults without a continuous sensor: no supervisor; without any, no learning, the inverse's cost."""
+        """Fill in defaults without a continuous sensor: no supervisor; without any, no learning."""
         if not isinstance(data, dict):
             return data
         estimator = data.get("estimator")
@@ -153,7 +156,6 @@ class PredictiveSettings(LawSettings):
             data = {**data, "supervisor": None}  # a `tip.yaml` has one for its continuous sensor
             if sensor == "none":
                 data = {"adaptation": None, **data}
-                data |= {name: _completed(data.get(name), values) for name, values in _OF_THE_INVERSE.items()}
         return {"supervisor": None, **data} if data.get("adaptation", {}) is None else data
 
     @model_validator(mode="after")

@@ -29,13 +29,13 @@ from .feedback import (
 from .law import LawPart, LawSettings
 from .law_tables import MoveBlocking, law_over
 from .learning.predictor import LearnedInverse, LearnedPredictor
-from .mpc_settings import HoldSettings, LinearisedMpcSettings, PredictiveSettings, SamplingMpcSettings, WeightsSettings
+from .mpc_settings import LinearisedMpcSettings, PredictiveSettings, SamplingMpcSettings, WeightsSettings
 
 CHANGES = 1000
 """Greatest number of changes of the active set in one program, which limits the time of its solution."""
 _FOLLOWING, _STEPS = 5, 8  # candidates before those that only search; small steps either way
 _REFINED = 2  # iterations from a plan that is late along a motion
-_CLOSE_DEG, _CLOSE_IN_STEPS_DEG = 0.01, 0.03  # tolerance of a hold; where readings have steps
+_TOLERANCES_DEG, _TOLERANCE_IN_STEPS_DEG = (0.01, 0.001), 0.03  # of a hold, far and close model; where readings have steps
 _LEAVE_SIGMAS = 5.0  # the difference of two independent estimates of one disturbance exceeds this once in 10^4 samples
 _LEAST, _KEPT = 0.05, 0.3  # least share of a direction in the noise; of the elites that take part again
 
@@ -121,6 +121,10 @@ class _Modelled:
         return self.inverse.inverse if isinstance(self.inverse, LearnedInverse) else self.inverse
 
     @property
+    def first_guess(self) -> bool:
+        return is_first_guess(self.inverse)
+
+    @property
     def reach(self) -> float:
         return self.limits.rate * self.dt
 
@@ -149,7 +153,7 @@ def _law(settings: LawSettings, device: _Modelled, solve: Callable[..., int] | N
     if not isinstance(settings, FeedforwardSettings):
         raise ControllerError(f"controller: got {type(settings).__name__}, expected a class with a method `law`")
     fed_back = isinstance(settings, InversePidControllerSettings)
-    late = isinstance(device.inverted, DrivenInverse) or inverted_after_a_hold(device.inverted)
+    late = isinstance(device.inverted, DrivenInverse) or device.first_guess
     horizon = settings.preview if late else 1
     return struct(
         "hystmpc_control_law",
@@ -170,7 +174,6 @@ def _predictive(settings: PredictiveSettings, device: _Modelled, solve: Callable
     low, high = settings.weights.angle_limits_deg
     more: dict[str, Any] = {}
     weights = settings.weights
-    oscillates = inverted_after_a_hold(device.inverted)  # so do plans of little weight on moves
     if supervisor is not None:
         more = {
             "supervised": 1,
@@ -186,11 +189,11 @@ def _predictive(settings: PredictiveSettings, device: _Modelled, solve: Callable
         planner=_planner(settings, device, horizon, solve),
         candidates=candidates_over(horizon),
         rate_weight=weights.rate,
-        close_rate_weight=weights.rate if oscillates else weights.rate_close,
+        close_rate_weight=weights.rate if device.first_guess else weights.rate_close,
         angle_low=low,
         angle_high=high,
         slope=device.slope,
-        hold=_hold(settings.hold, device),
+        hold=_hold(settings, device),
         **more,
     )
 
@@ -201,19 +204,21 @@ def candidates_over(horizon: int) -> int:
     return _FOLLOWING + 2 * (len(lengths) + _STEPS)
 
 
-def _hold(settings: HoldSettings, device: _Modelled) -> Struct:
+def _hold(predictive: PredictiveSettings, device: _Modelled) -> Struct:
     """A command that acts later has to start that much earlier; the lead counts from there."""
-    dt, noise = device.dt, device.known.noise
-    delay = device.inverted.delay_samples if isinstance(device.inverted, DrivenInverse) else 0
+    settings, dt = predictive.hold, device.dt
+    noise = None if predictive.estimator.sensor == "none" else device.known.noise
     step = noise.sensor_resolution_deg if noise else 0.0
-    close = _CLOSE_DEG if step == 0.0 else _CLOSE_IN_STEPS_DEG
+    far, close = _TOLERANCES_DEG if step == 0.0 else (_TOLERANCE_IN_STEPS_DEG,) * 2
+    if settings.tolerance_deg is not None:
+        far = close = settings.tolerance_deg
     return struct(
         "hystmpc_hold",
-        tolerance=close if settings.tolerance_deg is None else settings.tolerance_deg,
+        tolerance=far,
+        close_tolerance=close,
         step=step,
         sigmas=_LEAVE_SIGMAS,
         patience=max(round(settings.patience_s / dt), 1),
-        lead=delay + max(round(settings.lead_s / dt), 1),
         settle_after=round(settings.settle_after_s / dt),
         settle=round(settings.settle_s / dt),
     )
@@ -239,9 +244,13 @@ def iterations_of(settings: PredictiveSettings, inverse: Inverse) -> int:
     They are at least the two of the inverse over a preview for a first-guess inverse, see `steady_inverse`, and where
     there is no sensor to make up for an unfinished plan.
     """
-    first_guess = inverted_after_a_hold(inverse.inverse if isinstance(inverse, LearnedInverse) else inverse)
     alone = settings.estimator.sensor == "none" and isinstance(settings, LinearisedMpcSettings)
-    return max(settings.iterations, _REFINED) if first_guess or alone else settings.iterations
+    return max(settings.iterations, _REFINED) if is_first_guess(inverse) or alone else settings.iterations
+
+
+def is_first_guess(inverse: Inverse) -> bool:
+    """Return whether an inverse is only a first guess of a plan, since that of each sample oscillates."""
+    return inverted_after_a_hold(inverse.inverse if isinstance(inverse, LearnedInverse) else inverse)
 
 
 def _planner(settings: PredictiveSettings, device: _Modelled, horizon: int, solve: Callable[..., int] | None) -> Struct:
@@ -258,7 +267,7 @@ def _planner(settings: PredictiveSettings, device: _Modelled, horizon: int, solv
         kind=kinds[kind],
         iterations=iterations_of(settings, device.inverted),
         changes=CHANGES,
-        law=law_over(settings.weights, horizon, device.limits, device.dt, blocks),
+        law=law_over(settings.weights.discounted(device.first_guess), horizon, device.limits, device.dt, blocks),
         sampling=sampling,
         solve=solve,
     )
@@ -266,7 +275,7 @@ def _planner(settings: PredictiveSettings, device: _Modelled, horizon: int, solv
 
 def _preview_rate(device: _Modelled) -> float:
     """Weight on moves of the inverse over a preview."""
-    rate = _STEADY_RATE_WEIGHT if inverted_after_a_hold(device.inverted) else _RATE_WEIGHT
+    rate = _STEADY_RATE_WEIGHT if device.first_guess else _RATE_WEIGHT
     return rate * (_BASE_DT_S / device.dt) ** 2
 
 
@@ -276,7 +285,7 @@ def _preview(device: _Modelled, horizon: int) -> Struct:
     It is the problem of the linearised controller without a disturbance. An inverse sample by sample would send u = v +
     (w - v) / a to a lag with step response a < 1, which amplifies every deviation; a delay has no such inverse.
     """
-    weights = WeightsSettings(terminal=1.0, effort=0.0)
+    weights = WeightsSettings(effort=0.0).discounted(device.first_guess)
     return struct(
         "hystmpc_planner",
         kind=constants()["HYSTMPC_LINEARISED"],
@@ -296,7 +305,7 @@ def _sampling(settings: SamplingMpcSettings, device: _Modelled, horizon: int) ->
     factor = left * strengths
     sigma = settings.deviation(device.reach)
     elites = min(max(2, math.ceil(settings.elites * samples)), samples)
-    single = len(blocks) == horizon
+    single, weights = len(blocks) == horizon, settings.weights.discounted(device.first_guess)
     return struct(
         "hystmpc_sampling",
         samples=samples,
@@ -310,7 +319,7 @@ def _sampling(settings: SamplingMpcSettings, device: _Modelled, horizon: int) ->
         sigmas=sigma * np.geomspace(1.0, settings.finest, samples),
         shape=(blocking.matrix @ factor).T,
         whitening=np.linalg.inv(factor).T,
-        fitted=law_over(settings.weights, horizon, device.limits, device.dt, None if single else blocks),
+        fitted=law_over(weights, horizon, device.limits, device.dt, None if single else blocks),
     )
 
 

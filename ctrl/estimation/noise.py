@@ -22,8 +22,10 @@ _LEAST_SENSOR_DEG = 0.02  # a model of simulated trials without noise gives no i
 _SENSOR_FACTORS: Vec = 2.0 ** np.arange(-3.0, 3.1, 0.5)  # factors on the prior value
 _DRIFT: Vec = 0.001 * 3.0 ** np.arange(8, dtype=np.float64)  # deg/sqrt(s), up to 2.2
 _MOTION: Vec = 0.0016 * 4.0 ** np.arange(7, dtype=np.float64)  # deg over the root of the range of commands
-_CLOSE = 0.5  # probability that a model is as close as its file says, at first
+_CLOSE = 0.5  # probability that a model is as close as its file says or closer, at first
+_CLOSER: Vec = np.array([1.0, 0.1])  # its error as shares of what the file says, as probable each
 _RETURNS_S = 10.0  # time constant with which the error of such a model returns to zero in a hold
+_LASTS = 0.01  # share of the range of commands over which that error lasts at least: else it is noise of the sensor
 _LEAST_MODEL_DEG = 0.01  # a model of simulated trials has no error there
 _SWITCHING_S = 20.0  # mean time between changes of the model's error
 _MOST_GAIN = 0.5
@@ -50,9 +52,12 @@ class NoiseBank:
         d = sum_i w_i d_i,   P = sum_i w_i (P_i + (d_i - d)^2)
 
     Where the model is wrong the disturbance walks anywhere: s is `limit_deg`. Where it is as close to the device as its
-    file says, its error returns to zero: s is `model_sigma_deg` of the file, and drift is s (2 / 10 s)^(1/2). Such
-    filters stand at the end of the grid, with every sensor and motion. The sum of their weights is the probability that
-    the model is close. It decides how much the estimate of now may move a plan, see `WeightsSettings`.
+    file says, its error returns to zero: s is `model_sigma_deg` of the file, and drift is s (2 / 10 s)^(1/2). Where it
+    is closer, s is a tenth of that: a slow walk would foretell such a model better, and it would count as wrong. An
+    error lasts over a hundredth of the range R of commands, so that motion is at most s (2 / 0.01 R)^(1/2): one that is
+    new in each sample would look like the sensor's noise. Such filters stand at the end of the grid, with every sensor
+    and motion. The sum of their weights is the probability that the model is close. It decides how much the estimate of
+    now may move a plan, see `WeightsSettings`.
 
     The weights are the probabilities of the triples (Magill, "Optimal adaptive estimation of sampled stochastic
     processes", IEEE Transactions on Automatic Control 10, 1965). p is Student's density with 7 degrees of freedom and
@@ -88,24 +93,27 @@ class NoiseBank:
         sensor, by_sensor = _axis(given[0], usual, np.maximum(usual * _SENSOR_FACTORS, least))
         drift, by_drift = _axis(given[1], known.drift_sigma_deg_per_sqrt_s, _DRIFT)
         motion, by_motion = _axis(given[2], known.motion_sigma_deg_per_sqrt_unit, _MOTION / math.sqrt(high - low))
-        self._close = int(given[1] is None and given[2] is None)
         error = _UNKNOWN.model_sigma_deg if known.model_sigma_deg is None else known.model_sigma_deg
-        close = max(float(error or 0.0), _LEAST_MODEL_DEG)
+        close = _CLOSER * max(float(error or 0.0), _LEAST_MODEL_DEG)
+        self._close = close.size if given[1] is None and given[2] is None else 0
         if self._close:
             drift = np.append(drift, close * math.sqrt(2.0 / _RETURNS_S))
-            by_drift = np.append((1.0 - _CLOSE) * by_drift, _CLOSE)
+            by_drift = np.append((1.0 - _CLOSE) * by_drift, np.full(close.size, _CLOSE / close.size))
         grid = np.array([axis.ravel() for axis in np.meshgrid(sensor, drift, motion, indexing="ij")])
         self._limit, self._counts = limit_deg, (sensor.size, drift.size, motion.size)
-        self._sensor, self._drift, self._motion = grid[0] ** 2, predictor.dt * grid[1] ** 2, grid[2] ** 2
-        self._logs = np.log(np.maximum(grid**2, _TINY))
         self._by_sensor, self._by_model = by_sensor, np.outer(by_drift, by_motion).ravel()
         self._switching = predictor.dt / (predictor.dt + _SWITCHING_S)
         self._most = _MOST_GAIN if grid.shape[1] > 1 else 1.0
         self._first = np.full(grid.shape[1], _FIRST * (given[0] or usual) ** 2)
         self._widest = np.full(grid.shape[1], max(limit_deg**2, _TINY) if grid.shape[1] > 1 else _ANYWHERE)
         if self._close:
-            near = np.arange(grid.shape[1]) // motion.size % drift.size == drift.size - 1
-            self._first[near] = self._widest[near] = close**2
+            near = (slice(None), slice(-self._close, None))
+            for table in (self._first, self._widest):
+                table.reshape(self._counts)[near] = close[:, None] ** 2
+            longest = close[:, None] * math.sqrt(2.0 / (_LASTS * (high - low)))
+            grid[2].reshape(self._counts)[near] = np.minimum(motion, longest)
+        self._sensor, self._drift, self._motion = grid[0] ** 2, predictor.dt * grid[1] ** 2, grid[2] ** 2
+        self._logs = np.log(np.maximum(grid**2, _TINY))
         self.size = grid.shape[1]
 
     def _tables(self) -> Mapping[str, Vec]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import signal
 from dataclasses import dataclass
-from threading import local
+from threading import Lock, local
 from typing import Any, final
 
 import numpy as np
@@ -62,7 +63,8 @@ class QpSolution:
     unfinished: bool = False  # whether the iterations ran out
 
 
-_OSQP_UNFINISHED = "maximum iterations reached"
+_OSQP_UNFINISHED, _OSQP_INTERRUPTED = "maximum iterations reached", "interrupted"
+_ALONE = Lock()  # OSQP takes Ctrl-C while it solves; of two at a time the later one would give back the other's handler
 _USABLE = ("solved", "solved inaccurate", _OSQP_UNFINISHED)  # inaccurate: within ten times the tolerance
 
 
@@ -167,4 +169,8 @@ class OsqpSolver:
 
 def _iterated(workspace: Any, rho: float) -> Any:
     workspace.update_settings(rho=rho)
-    return workspace.solve(raise_error=False)
+    with _ALONE:
+        result = workspace.solve(raise_error=False)
+    if str(result.info.status) == _OSQP_INTERRUPTED:
+        signal.raise_signal(signal.SIGINT)  # for the handler of this process
+    return result

@@ -83,7 +83,7 @@ SETTINGS = {
     "kind": "linearised_mpc",
     "horizon": HORIZON,
     "iterations": 4,
-    "weights": {"terminal": TERMINAL, "rate": RATE, "effort": 0.0},
+    "weights": {"terminal": TERMINAL, "discount": 1.0, "rate": RATE, "effort": 0.0},
     "adaptation": None,
 }
 

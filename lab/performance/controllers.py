@@ -31,9 +31,8 @@ _GOAL = 6.0
 
 
 def linearised_controller(subject: Subject, settings: BenchSettings) -> GuardedController:
-    """Shipped linearised controller, but without effort: see `WEIGHTS`."""
-    weights = WeightsSettings(effort=WEIGHTS.effort)
-    wanted = LinearisedMpcSettings(horizon=settings.horizon, weights=weights)
+    """Shipped linearised controller, with `WEIGHTS`."""
+    wanted = LinearisedMpcSettings(horizon=settings.horizon, weights=WEIGHTS)
     return build_controller(wanted, subject.predictor, subject.inverse, subject.limits)
 
 
@@ -161,7 +160,7 @@ def sampling_rows(subject: Subject, settings: BenchSettings, clock: Clock, threa
     hundred times longer than one alone would take. Both are asked for the recorded planning problems, and the mean cost
     of their plans stands beside the ratio.
     """
-    wanted = SamplingMpcSettings(horizon=settings.horizon, weights=WeightsSettings(effort=WEIGHTS.effort))
+    wanted = SamplingMpcSettings(horizon=settings.horizon, weights=WEIGHTS)
     controller = build_controller(wanted, subject.predictor, subject.inverse, subject.limits)
     instants = record_scan(controller, subject)
     jobs = [TimedCall(_SAMPLING, in_turn(instants, lambda _, i: controller.step(i.state, i.measured, i.reference)))]

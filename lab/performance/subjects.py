@@ -37,8 +37,8 @@ from hystmpc.trials.types import Vec
 
 from .lstm_reference import LstmStep, lstm_step_graph
 
-# Effort is measured from the inverse plan, which peers do not have: without it all solve the same problem.
-WEIGHTS = WeightsSettings(effort=0.0)
+# Peers have no discount: without it all solve the same problem.
+WEIGHTS = WeightsSettings(discount=1.0)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.linearised.program import IterativeSolution, PlanningTask, PlanProgram
 from hystmpc.ctrl.linearised.qp import OsqpOptions, QpData, QpSolution
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings, WeightsSettings
-from hystmpc.ctrl.problem import CHANGES, problem_of
+from hystmpc.ctrl.problem import CHANGES, is_first_guess, problem_of
 from hystmpc.models.model import Predictor
 from hystmpc.trials.types import Vec
 
@@ -89,12 +89,13 @@ class Planner:
         predictor: Predictor | None = None,
         options: OsqpOptions | None = None,
     ) -> None:
+        self._weights = settings.weights.discounted(is_first_guess(case.inverse))
         settings = settings.model_copy(update={"adaptation": None, "supervisor": None})
-        self._weights, solve, predictor = settings.weights, None, predictor or case.predictor
+        solve, predictor = None, predictor or case.predictor
         if options is not None:
             settings = settings.model_copy(update={"solver": "osqp"})
             horizon, blocks = settings.preview_samples(DT), settings.blocks(DT)
-            solve = IterativeSolution(settings.weights, LIMITS, horizon, DT, blocks, options)
+            solve = IterativeSolution(self._weights, LIMITS, horizon, DT, blocks, options)
         self._controller = problem_of(settings, predictor, case.inverse, LIMITS, solve=solve)
         self._planner, self._model = self._controller.fields["law"].fields["planner"], self._controller.fields["model"]
 

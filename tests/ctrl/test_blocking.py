@@ -153,7 +153,7 @@ def test_a_scan_is_followed_as_closely_with_five_decisions_as_with_twenty(case: 
         controller = built("linearised_mpc", case, move_blocking=blocks)
         _, error = track(controller, resting(case, noise_deg=0.1), scan, 8.0)
         errors.append(float(np.sqrt(np.mean(error[50:] ** 2))))
-    assert errors[1] < 1.1 * errors[0]
+    assert errors[1] < 1.1 * errors[0] + 0.001
 
 
 @pytest.mark.parametrize("blocks", [(), (0, 2), (5, 8)])

@@ -84,6 +84,36 @@ def test_the_inverse_follows_as_without_the_drive(core: str, drive: str) -> None
     assert np.ptp(log.command[-50:]) < 1e-9  # the reference has come to rest
 
 
+@pytest.mark.parametrize("sensor", ["continuous", "none"])
+@pytest.mark.parametrize("drive", DRIVES)
+@pytest.mark.parametrize("core", CORES)
+def test_a_plan_follows_as_closely_as_the_inverse(core: str, drive: str, sensor: str) -> None:
+    """To a thousandth of a degree, also where a dead band has to be crossed out of a hold."""
+    _, error = tracked("linearised_mpc", core, drive, estimator={"sensor": sensor})
+    assert rmse(error) <= rmse(tracked("inverse", core, drive)[1]) + 0.001
+
+
+@pytest.mark.parametrize("sensor", ["continuous", "none"])
+@pytest.mark.parametrize("kind", ["linearised_mpc", "sampling_mpc"])
+@pytest.mark.parametrize("drive", ["none", "delay 4"])
+def test_a_dead_band_is_crossed_in_time_and_no_earlier(drive: str, kind: str, sensor: str) -> None:
+    """At the end of a long hold the command moves as many samples before the reference as the rate limit asks for."""
+    predictor, inverse = model("backlash", drive)
+    settings_ = CONTROLLERS[kind].parse({"kind": kind, "estimator": {"sensor": sensor}})
+    controller = build_controller(settings_, predictor, inverse, LIMITS)
+    ends = np.array([0, 50, 100, 150]), np.array([0.0, 4.5, 4.5, 0.5])  # up, a hold of two seconds, down
+    wanted = predictor.rollout(predictor.initial(REST["backlash"], 0.0), np.interp(np.arange(180), *ends)[None])[0]
+    plant = ModelPlant(predictor, REST["backlash"], 0.0)
+    log = run_loop(controller, plant, lambda k: wanted[k : k + controller.horizon], 150, u_start=0.0)
+    leaves = int(np.flatnonzero(np.abs(np.diff(wanted[100:])) > 0.01)[0]) + 101  # the first angle off the hold
+    arrives = leaves - (4 if drive == "delay 4" else 0)
+    needed = int(np.ceil((log.command[99] - log.command[arrives]) / (LIMITS.rate * DT)))
+    moved = int(np.flatnonzero(np.abs(np.diff(log.command[70:])) > 1e-6)[0]) + 71
+    assert needed >= 2
+    assert arrives - needed <= moved <= arrives
+    assert np.abs(np.array(plant.true[1:]) - log.reference_deg)[60:].max() < 0.05
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("core", "drive"),

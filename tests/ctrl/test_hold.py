@@ -23,7 +23,6 @@ PATIENCE, SETTLE, SLOPE = 10, 3, 10.0
 HOLD: dict[str, Any] = {
     "tolerance_deg": 0.03,
     "patience_s": 0.4,
-    "lead_s": 0.0,
     "settle_after_s": 0.4,
     "settle_s": SETTLE * DT,
 }
@@ -96,14 +95,6 @@ def test_a_slow_ramp_is_no_hold() -> None:
         assert bench.state.head.constant <= 2
 
 
-@pytest.mark.parametrize(("lead", "kept"), [(1, True), (3, False)])
-def test_the_lead_is_how_early_the_next_move_is_seen(lead: int, kept: bool) -> None:
-    bench = Bench(lead_s=lead * DT)
-    assert bench.held(20)
-    bench.step(np.array([60.0, 60.0, 61.0, 62.0, 63.0]))
-    assert bench.holding is kept
-
-
 def corrected(samples: int, off: float, **hold: Any) -> np.ndarray:
     """Deviations of the plan (H,) from the command after some samples of rest, the angle being off from then on."""
     bench = Bench(**hold)
@@ -131,5 +122,5 @@ def test_before_a_hold_plans_are_left_alone() -> None:
 
 
 def test_nonsense_is_refused() -> None:
-    with pytest.raises(ConfigError, match="lead_s"):
-        HoldSettings.parse({"lead_s": -1.0})
+    with pytest.raises(ConfigError, match="patience_s"):
+        HoldSettings.parse({"patience_s": -1.0})

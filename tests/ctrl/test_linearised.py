@@ -19,7 +19,7 @@ from hystmpc.trials.errors import ConfigError, ControllerError
 from .planners import LIMITS, SOFT_DEG, Planner, posed
 from .plays import DT, LINEAR, PLAY, SOUND, Case, Faulty, Lag, not_a_number
 
-HARD = WeightsSettings(rate=1.0, effort=0.5)
+HARD = WeightsSettings(terminal=2.0, rate=1.0, effort=0.5)
 SOFT = HARD.model_copy(
     update={"soft_limit": 50.0, "angle_lower_deg": SOFT_DEG[0], "angle_upper_deg": SOFT_DEG[1]},
 )

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from threading import Timer
 from typing import Any
 
 import numpy as np
@@ -63,6 +68,27 @@ def test_the_exact_solver_leaves_its_data_alone_and_answers_equally_whatever_cam
         np.testing.assert_array_equal(np.concatenate([d.hessian.ravel(), d.gradient, d.lower, d.upper]), copy)
 
 
+def test_ctrl_c_ends_a_process_whose_threads_have_solved_by_osqp() -> None:
+    """OSQP has a handler of its own while it solves; of two solutions at once it would keep it for good."""
+    pattern, data = program(SOUND[0], SOFT, 0, 20)
+    solver = OsqpSolver(pattern, TIGHT)
+    with ThreadPoolExecutor(3) as threads:
+        list(threads.map(lambda _: solver.solve(data), range(60)))
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+        time.sleep(0.1)
+
+
+def test_ctrl_c_while_osqp_solves_is_not_lost() -> None:
+    pattern, data = program(SOUND[0], SOFT, 0, 20)
+    solver = OsqpSolver(pattern, replace(TIGHT, eps=1e-15))  # goes on until the iterations run out
+    interrupt = Timer(0.2, os.kill, (os.getpid(), signal.SIGINT))
+    with pytest.raises(KeyboardInterrupt):
+        interrupt.start()
+        for _ in range(1000):
+            solver.solve(data)
+
+
 SOLVERS: dict[str, Callable[[QpPattern], Callable[[QpData], QpSolution]]] = {
     "OSQP": lambda pattern: OsqpSolver(pattern, OsqpOptions()).solve,
     "active set": lambda pattern: exact,
@@ -115,7 +141,8 @@ def controller_for(
     solution = None
     if options is not None:
         horizon = settings.preview_samples(predictor.dt)
-        solution = IterativeSolution(settings.weights, DEVICE, horizon, predictor.dt, blocks, options)
+        weights = settings.weights.discounted(problem.is_first_guess(inverse))
+        solution = IterativeSolution(weights, DEVICE, horizon, predictor.dt, blocks, options)
     observer = settings.estimator.observer(predictor)
     part = problem.problem_of(settings, predictor, inverse, DEVICE, observer=observer, solve=solution)
     return GuardedController(part, DEVICE, observer, predictor.initial, solution=solution)

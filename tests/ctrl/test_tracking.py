@@ -65,9 +65,7 @@ def resting(case: Case, **options: Any) -> ModelPlant:
 @pytest.mark.parametrize("kind", PREDICTIVE)
 @pytest.mark.parametrize(("motion", "rmse"), [(scan, 0.02), (smooth_moves, 0.03)])
 def test_exact_model_tracks(kind: str, case: Case, motion: Callable[[np.ndarray], np.ndarray], rmse: float) -> None:
-    # two samples to cross the dead band in; without them a hold is kept to its last sample, and the first is late
-    controller = built(kind, case, hold={"lead_s": 0.08})
-    _, error = track(controller, resting(case), motion, 9.0)
+    _, error = track(built(kind, case), resting(case), motion, 9.0)
     assert math.sqrt(np.mean(error[25:] ** 2)) < rmse
     assert np.max(np.abs(error[25:])) < 0.15
 

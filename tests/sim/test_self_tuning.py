@@ -120,7 +120,7 @@ def test_a_wrong_model_is_corrected_better_by_learning(device: str, motion: str)
 def test_a_hold_holds(device: str, controller: str) -> None:
     """From one second after a hold begins the command rests for 99 per cent of the time or more."""
     rests: list[bool] = []
-    for seed in (101, 102):
+    for seed in range(101, 109):
         run = track(device, "points", controller, seed)
         moves = np.abs(np.diff(run.log.command, prepend=run.rest_command))
         for begin, end in holds(run.log.reference_deg, run.dt):
