@@ -16,7 +16,6 @@ from .estimation.observer import EstimatorSettings
 from .feedback import SupervisorSettings
 from .law import LawSettings
 
-
 _DISCOUNT_FROM_A_GUESS = 0.75
 
 
@@ -25,9 +24,9 @@ class WeightsSettings(Settings):
 
     Attributes:
         tracking: squared angle error [1/deg^2].
-        discount: factor on `tracking` from one sample of the preview to the next; null for 1, or 0.75 where the inverse is
-            only a first guess, see `steady_inverse`. The program then has many local minima: the angle of the next sample
-            is not to be given up for those of far ones.
+        discount: factor on `tracking` from one sample of the preview to the next; null for 1, or 0.75 where the inverse
+            is only a first guess, see `steady_inverse`. The program then has many local minima: the angle of the next
+            sample is not to be given up for those of far ones.
         terminal: factor on `tracking` at the last sample.
         rate: squared command change per sample [1/mm^2 or 1/bar^2].
         rate_close: the same where the model is as close to the device as its file says, and without a sensor; `rate`
@@ -92,8 +91,8 @@ class HoldSettings(Settings):
 
     Attributes:
         tolerance_deg: distance from the reference that always counts as reached [deg]; null for 0.01 to 0.001 by the
-            probability that the model is close, see `rate_close`, and 0.03 where the model's file says that the sensor's
-            readings have steps.
+            probability that the model is close, see `rate_close`, and 0.03 where the model's file says that the
+            sensor's readings have steps.
         patience_s: time of constant reference for which one more standard deviation is allowed for [s].
         settle_after_s: time of constant reference after which corrections are limited [s].
         settle_s: time over which a limited correction removes an error at the model's static gain [s]; 0 for no limit.

@@ -35,7 +35,8 @@ CHANGES = 1000
 """Greatest number of changes of the active set in one program, which limits the time of its solution."""
 _FOLLOWING, _STEPS = 5, 8  # candidates before those that only search; small steps either way
 _REFINED = 2  # iterations from a plan that is late along a motion
-_TOLERANCES_DEG, _TOLERANCE_IN_STEPS_DEG = (0.01, 0.001), 0.03  # of a hold, far and close model; where readings have steps
+_TOLERANCES_DEG = 0.01, 0.001  # of a hold: far model, close model
+_TOLERANCE_IN_STEPS_DEG = 0.03  # where readings have steps
 _LEAVE_SIGMAS = 5.0  # the difference of two independent estimates of one disturbance exceeds this once in 10^4 samples
 _LEAST, _KEPT = 0.05, 0.3  # least share of a direction in the noise; of the elites that take part again
 

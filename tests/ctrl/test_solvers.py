@@ -75,18 +75,21 @@ def test_ctrl_c_ends_a_process_whose_threads_have_solved_by_osqp() -> None:
     with ThreadPoolExecutor(3) as threads:
         list(threads.map(lambda _: solver.solve(data), range(60)))
     with pytest.raises(KeyboardInterrupt):
-        signal.raise_signal(signal.SIGINT)
-        time.sleep(0.1)
+        ended_by_ctrl_c(lambda: time.sleep(0.1))
 
 
 def test_ctrl_c_while_osqp_solves_is_not_lost() -> None:
     pattern, data = program(SOUND[0], SOFT, 0, 20)
     solver = OsqpSolver(pattern, replace(TIGHT, eps=1e-15))  # goes on until the iterations run out
-    interrupt = Timer(0.2, os.kill, (os.getpid(), signal.SIGINT))
     with pytest.raises(KeyboardInterrupt):
-        interrupt.start()
-        for _ in range(1000):
-            solver.solve(data)
+        ended_by_ctrl_c(lambda: solver.solve(data))
+
+
+def ended_by_ctrl_c(work: Callable[[], object]) -> None:
+    """Do it again and again; Ctrl-C comes after 0.2 s."""
+    Timer(0.2, os.kill, (os.getpid(), signal.SIGINT)).start()
+    for _ in range(1000):
+        work()
 
 
 SOLVERS: dict[str, Callable[[QpPattern], Callable[[QpData], QpSolution]]] = {
