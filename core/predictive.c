@@ -82,8 +82,9 @@ static real between(real far, real close, real probability) {
     return probability < R(1.0) && far != close ? far * MATH(pow)(close / far, probability) : close;
 }
 
-/* Whether to hold now: the reference has come to rest, and the held command keeps the angle close to it: within the tolerance, and one standard deviation of the disturbance more for each `patience` that has
- * passed, since noise may prevent a closer approach; once held, `sigmas` of them.
+/* Whether to hold now: the reference has come to rest, and the held command keeps the angle close to it: within the
+ * tolerance, and one standard deviation of the disturbance more for each `patience` that has passed, since noise may
+ * prevent a closer approach; once held, `sigmas` of them.
  *
  * A reading of resolution q is constant while the angle stays within q / 2 of it. At rest the estimate drifts to the
  * reading, and corrections would go on until the reading changes, then reverse: a limit cycle. Once held, q more is close
@@ -150,22 +151,27 @@ static int next_motion(const hystmpc_head *head, const hystmpc_given *g, int hor
 }
 
 /* Whether the plan can begin one sample later: from `motion` on its angles then come as near to the wanted ones. The plan
- * that begins later is left in `late`. Answers a negative number where the model from outside has failed.
+ * that begins later is left in `late`; `out` says where the model from outside has failed.
  *
  * A command that has to cross a dead band, or to go through a drive, within its greatest rate begins before the reference
- * does; not earlier than it has to, since the device may answer. Nearer than the hold's tolerance and a standard deviation of
- * the disturbance is no reason. */
+ * does; not earlier than it has to, since the device may answer. Nearer by less than the hold's tolerance and a standard
+ * deviation of the disturbance is no reason. */
 static int can_wait(const planning *q, const hystmpc_given *g, const hystmpc_task *task, const hystmpc_plan *best,
-                    int motion, const hystmpc_plan *late) {
+                    int motion, const hystmpc_plan *late, hystmpc_proposal *out) {
     const hystmpc_law *l = q->planner->law;
     const real tolerance = q->problem->law->hold->tolerance + g->sigma;
     copy(best->commands, late->commands, q->horizon);
     late->commands[0] = task->u_last;
     hystmpc_clip_plan(q->horizon, l->lower, l->upper, l->reach, task->u_last, late->commands);
-    if (hystmpc_model_run(q->problem->model, q->x, 1, q->horizon, late->commands, late->angles, q->room)) return -1;
+    if (hystmpc_model_run(q->problem->model, q->x, 1, q->horizon, late->commands, late->angles, q->room)) {
+        refuse_plan(out, HYSTMPC_FAILED, 0);
+        return 0;
+    }
     int near = 1;
-    for (int k = motion; k < q->horizon; k++)
-        near &= absolute(late->angles[k] - task->reference[k]) <= absolute(best->angles[k] - task->reference[k]) + tolerance;
+    for (int k = motion; k < q->horizon; k++) {
+        const real now = absolute(best->angles[k] - task->reference[k]), later = absolute(late->angles[k] - task->reference[k]);
+        near &= later <= now + tolerance;
+    }
     return near;
 }
 
@@ -175,23 +181,19 @@ static void improve_plan(const planning *q, hystmpc_head *head, const hystmpc_gi
     const real error = farthest(q->angles + HYSTMPC_HELD * q->horizon, q->horizon, g->disturbance, head->hold_target);
     const hystmpc_plan late = {q->plans + HYSTMPC_HELD * q->horizon, q->angles + HYSTMPC_HELD * q->horizon, R(0.0)};
     const int answer = hystmpc_improve(q->planner, q->problem->model, q->x, task, best, &head->draws, q->room);
-    int waits = 1;
     refuse_plan(out, status_of_planner(answer), answer);
     if (out->status != HYSTMPC_OK) return;
-    if (motion < q->horizon && head->constant > 0) {
-        waits = can_wait(q, g, task, best, motion, &late);
-        if (waits < 0) refuse_plan(out, HYSTMPC_FAILED, 0);
-        if (waits < 0) return;
-        if (waits && head->holding) {
-            copy(late.commands, best->commands, q->horizon);
-            copy(late.angles, best->angles, q->horizon);
-            return;
-        }
-        if (!waits) head->holding = 0;
-    }
-    if (waits && limit_correction(q->problem, head, best->commands, g->u_last, error) &&
-        hystmpc_model_run(q->problem->model, q->x, 1, q->horizon, best->commands, best->angles, q->room))
+    const int waits = motion == q->horizon || head->constant == 0 || can_wait(q, g, task, best, motion, &late, out);
+    if (out->status != HYSTMPC_OK) return;
+    if (!waits) {
+        head->holding = 0; /* the next motion begins */
+    } else if (head->holding) {
+        copy(late.commands, best->commands, q->horizon);
+        copy(late.angles, best->angles, q->horizon);
+    } else if (limit_correction(q->problem, head, best->commands, g->u_last, error) &&
+               hystmpc_model_run(q->problem->model, q->x, 1, q->horizon, best->commands, best->angles, q->room)) {
         refuse_plan(out, HYSTMPC_FAILED, 0);
+    }
 }
 
 /* The wanted command and the plan behind it; the caller restores the head where there is none. */
