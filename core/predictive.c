@@ -78,7 +78,7 @@ static real farthest(const real *angles, int count, real shift, real target) {
  * they are those of the reference, and holds are exact. Where it is not, the estimate of its error makes moves of its own,
  * and a lag that the model lacks an oscillation. In between the logarithms are weighted: of two values a hundredfold apart
  * a mean is the greater one. */
-static real between(real far, real close, real probability) {
+static real by_closeness(real far, real close, real probability) {
     return probability < R(1.0) && far != close ? far * MATH(pow)(close / far, probability) : close;
 }
 
@@ -200,7 +200,7 @@ static void improve_plan(const planning *q, hystmpc_head *head, const hystmpc_gi
 HYSTMPC_LOCAL void hystmpc_propose_plan(const hystmpc_problem *p, hystmpc_head *head, const hystmpc_given *g,
                                         hystmpc_proposal *out, char *room) {
     const int h = p->law->planner->law->horizon;
-    const real tolerance = between(p->law->hold->tolerance, p->law->hold->close_tolerance, g->close);
+    const real tolerance = by_closeness(p->law->hold->tolerance, p->law->hold->close_tolerance, g->close);
     const int motion = next_motion(head, g, h, tolerance), resting = head->constant > 0 && motion == h;
     room = room_begin(room);
     real *wanted = room_take(&room, h);
@@ -215,7 +215,7 @@ HYSTMPC_LOCAL void hystmpc_propose_plan(const hystmpc_problem *p, hystmpc_head *
     }
     /* At rest most steps hold, and look no further. */
     const int first = resting && count > HYSTMPC_FOLLOWING ? HYSTMPC_FOLLOWING : count;
-    const real rate_weight = between(p->law->rate_weight, p->law->close_rate_weight, g->close);
+    const real rate_weight = by_closeness(p->law->rate_weight, p->law->close_rate_weight, g->close);
     const hystmpc_task task = {wanted, q.plans + HYSTMPC_INVERTED * h, g->u_last, rate_weight,
                                p->law->angle_low - g->disturbance, p->law->angle_high - g->disturbance, NULL};
     if (predict_candidates(&q, 0, first)) {
