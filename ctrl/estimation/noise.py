@@ -28,7 +28,7 @@ _RETURNS_S = 10.0  # time constant with which the error of such a model returns 
 _LASTS = 0.01  # share of the range of commands over which that error lasts at least: else it is noise of the sensor
 _LEAST_MODEL_DEG = 0.01  # a model of simulated trials has no error there
 _SWITCHING_S = 20.0  # mean time between changes of the model's error
-_MOST_GAIN = 0.5
+_MOST_GAIN, _MOST_GAIN_AT_S = 0.5, 0.04  # in a sample of that time
 _FIRST = 100.0  # variance of the first disturbance in those of the sensor: the first measurements decide
 _ANYWHERE = 1e12  # deg^2, of a single filter
 _TINY = 1e-20  # deg^2: a sigma of zero has no logarithm, and nothing is divided by zero
@@ -68,7 +68,9 @@ class NoiseBank:
 
     The gain of a bank is bounded because the loop is closed. A plan takes the disturbance for constant, but where the
     model's error answers to the command, as behind a lag that the model lacks, the next command changes it. A gain
-    near one then makes an oscillation, which in turn looks like a large drift. K is the filter of internal model
+    near one then makes an oscillation, which in turn looks like a large drift. It is 1/2 in a sample of 0.04 s, and
+    1 - (1/2)^((dt / 0.04 s)^(1/2)) in others: half in 4 ms follows a small unmodelled lag into a limit cycle, half in ten
+    such samples learns of a changed device too slowly. K is the filter of internal model
     control, whose robust stability asks for |filter| |relative model error| < 1 at every frequency (Morari and
     Zafiriou, "Robust process control", 1989, section 2.6).
 
@@ -103,7 +105,8 @@ class NoiseBank:
         self._limit, self._counts = limit_deg, (sensor.size, drift.size, motion.size)
         self._by_sensor, self._by_model = by_sensor, np.outer(by_drift, by_motion).ravel()
         self._switching = predictor.dt / (predictor.dt + _SWITCHING_S)
-        self._most = _MOST_GAIN if grid.shape[1] > 1 else 1.0
+        slower = (predictor.dt / _MOST_GAIN_AT_S) ** 0.5
+        self._most = 1.0 - (1.0 - _MOST_GAIN) ** slower if grid.shape[1] > 1 else 1.0
         self._first = np.full(grid.shape[1], _FIRST * (given[0] or usual) ** 2)
         self._widest = np.full(grid.shape[1], max(limit_deg**2, _TINY) if grid.shape[1] > 1 else _ANYWHERE)
         if self._close:
