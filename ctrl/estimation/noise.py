@@ -69,8 +69,8 @@ class NoiseBank:
     The gain of a bank is bounded because the loop is closed. A plan takes the disturbance for constant, but where the
     model's error answers to the command, as behind a lag that the model lacks, the next command changes it. A gain
     near one then makes an oscillation, which in turn looks like a large drift. It is 1/2 in a sample of 0.04 s, and
-    1 - (1/2)^((dt / 0.04 s)^(1/2)) in others: half in 4 ms follows a small unmodelled lag into a limit cycle, half in ten
-    such samples learns of a changed device too slowly. K is the filter of internal model
+    1 - (1/2)^((dt / 0.04 s)^(1/2)) in others: half in 4 ms follows a small unmodelled lag into a limit cycle, half in
+    ten such samples learns of a changed device too slowly. K is the filter of internal model
     control, whose robust stability asks for |filter| |relative model error| < 1 at every frequency (Morari and
     Zafiriou, "Robust process control", 1989, section 2.6).
 
