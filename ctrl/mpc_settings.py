@@ -81,7 +81,7 @@ class WeightsSettings(Settings):
 
     def over(self, horizon: int) -> Vec:
         """Return the tracking weights along the horizon, shape (H,)."""
-        along = self.tracking * (1.0 if self.discount is None else self.discount) ** np.arange(horizon)
+        along: Vec = self.tracking * np.power(self.discount or 1.0, np.arange(horizon, dtype=np.float64))
         along[-1] *= self.terminal
         return along
 
