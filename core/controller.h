@@ -41,6 +41,7 @@ enum {
 typedef struct {
     real tolerance;  /* [deg] */
     real close_tolerance; /* the same where the model is as close to the device as its file says [deg] */
+    real worth;      /* nearer by this: worth to leave a hold for before the reference moves [deg] */
     real step;       /* resolution of the sensor [deg] */
     real sigmas;     /* standard deviations of the disturbance at which a hold is left */
     int patience;    /* samples, at least 1 */

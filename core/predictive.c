@@ -154,12 +154,11 @@ static int next_motion(const hystmpc_head *head, const hystmpc_given *g, int hor
  * that begins later is left in `late`; `out` says where the model from outside has failed.
  *
  * A command that has to cross a dead band, or to go through a drive, within its greatest rate begins before the reference
- * does; not earlier than it has to, since the device may answer. Nearer by less than the hold's tolerance and a standard
- * deviation of the disturbance is no reason. */
+ * does; not earlier than it has to, since the device may answer, and the command would wander where it moves nothing. */
 static int can_wait(const planning *q, const hystmpc_given *g, const hystmpc_task *task, const hystmpc_plan *best,
                     int motion, const hystmpc_plan *late, hystmpc_proposal *out) {
     const hystmpc_law *l = q->planner->law;
-    const real tolerance = q->problem->law->hold->tolerance + g->sigma;
+    const real tolerance = q->problem->law->hold->worth + g->sigma;
     copy(best->commands, late->commands, q->horizon);
     late->commands[0] = task->u_last;
     hystmpc_clip_plan(q->horizon, l->lower, l->upper, l->reach, task->u_last, late->commands);
@@ -167,12 +166,15 @@ static int can_wait(const planning *q, const hystmpc_given *g, const hystmpc_tas
         refuse_plan(out, HYSTMPC_FAILED, 0);
         return 0;
     }
+    real travel = R(0.0); /* to the farthest command before the motion; a plan that first goes the other way wanders */
+    for (int k = 0; k <= motion; k++)
+        if (absolute(best->commands[k] - task->u_last) > absolute(travel)) travel = best->commands[k] - task->u_last;
     int near = 1;
     for (int k = motion; k < q->horizon; k++) {
         const real now = absolute(best->angles[k] - task->reference[k]), later = absolute(late->angles[k] - task->reference[k]);
         near &= later <= now + tolerance;
     }
-    return near;
+    return near || travel * (best->commands[0] - task->u_last) <= R(0.0);
 }
 
 /* The plan improved; while the reference is constant it waits or is limited. */

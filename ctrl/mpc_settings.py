@@ -90,8 +90,8 @@ class HoldSettings(Settings):
     """Hold of the command, and slow correction of a remaining error; see core/predictive.c, which counts samples.
 
     Attributes:
-        tolerance_deg: distance from the reference that always counts as reached [deg]; null for 0.01 to 0.001 by the
-            probability that the model is close, see `rate_close`, and 0.03 where the model's file says that the
+        tolerance_deg: distance from the reference that always counts as reached [deg]; null for 0.01 to 0.003 by the
+            probability that the model is close, see `rate_close`, 0.001 without a sensor, and 0.03 where the model's file says that the
             sensor's readings have steps.
         patience_s: time of constant reference for which one more standard deviation is allowed for [s].
         settle_after_s: time of constant reference after which corrections are limited [s].

@@ -35,7 +35,9 @@ CHANGES = 1000
 """Greatest number of changes of the active set in one program, which limits the time of its solution."""
 _FOLLOWING, _STEPS = 5, 8  # candidates before those that only search; small steps either way
 _REFINED = 2  # iterations from a plan that is late along a motion
-_TOLERANCES_DEG = 0.01, 0.001  # of a hold: far model, close model
+_TOLERANCES_DEG = 0.01, 0.003  # of a hold: far model, close model
+_ALONE_DEG = 0.001, 0.001  # without a sensor
+_WORTH_DEG, _WORTH_ALONE_DEG = 0.1, 0.01  # nearer by this: worth to leave a hold for before the reference moves
 _TOLERANCE_IN_STEPS_DEG = 0.03  # where readings have steps
 _LEAVE_SIGMAS = 5.0  # the difference of two independent estimates of one disturbance exceeds this once in 10^4 samples
 _LEAST, _KEPT = 0.05, 0.3  # least share of a direction in the noise; of the elites that take part again
@@ -208,15 +210,16 @@ def candidates_over(horizon: int) -> int:
 def _hold(predictive: PredictiveSettings, device: _Modelled) -> Struct:
     """A command that acts later has to start that much earlier; the lead counts from there."""
     settings, dt = predictive.hold, device.dt
-    noise = None if predictive.estimator.sensor == "none" else device.known.noise
-    step = noise.sensor_resolution_deg if noise else 0.0
-    far, close = _TOLERANCES_DEG if step == 0.0 else (_TOLERANCE_IN_STEPS_DEG,) * 2
+    alone, noise = predictive.estimator.sensor == "none", device.known.noise
+    step = noise.sensor_resolution_deg if noise and not alone else 0.0
+    far, close = (_ALONE_DEG if alone else _TOLERANCES_DEG) if step == 0.0 else (_TOLERANCE_IN_STEPS_DEG,) * 2
     if settings.tolerance_deg is not None:
         far = close = settings.tolerance_deg
     return struct(
         "hystmpc_hold",
         tolerance=far,
         close_tolerance=close,
+        worth=_WORTH_ALONE_DEG if alone else _WORTH_DEG,
         step=step,
         sigmas=_LEAVE_SIGMAS,
         patience=max(round(settings.patience_s / dt), 1),
