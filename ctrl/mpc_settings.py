@@ -91,8 +91,8 @@ class HoldSettings(Settings):
 
     Attributes:
         tolerance_deg: distance from the reference that always counts as reached [deg]; null for 0.01 to 0.003 by the
-            probability that the model is close, see `rate_close`, 0.001 without a sensor, and 0.03 where the model's file says that the
-            sensor's readings have steps.
+            probability that the model is close, see `rate_close`, 0.001 without a sensor, and 0.03 where the model's
+            file says that the sensor's readings have steps.
         patience_s: time of constant reference for which one more standard deviation is allowed for [s].
         settle_after_s: time of constant reference after which corrections are limited [s].
         settle_s: time over which a limited correction removes an error at the model's static gain [s]; 0 for no limit.
