@@ -208,7 +208,7 @@ def candidates_over(horizon: int) -> int:
 
 
 def _hold(predictive: PredictiveSettings, device: _Modelled) -> Struct:
-    """A command that acts later has to start that much earlier; the lead counts from there."""
+    """Return the rule of holds; without a sensor no reading has steps, and the model alone says when to move."""
     settings, dt = predictive.hold, device.dt
     alone, noise = predictive.estimator.sensor == "none", device.known.noise
     step = noise.sensor_resolution_deg if noise and not alone else 0.0
