@@ -62,15 +62,15 @@ def scores(
 
     `rmse_deg` is the root of the mean over motions of the mean square true error, `rmse_deg.MOTION` that of one.
     `hold_samples` are those of holds that have settled, until the command may prepare the next move, which is the delay
-    earlier than the move itself; in `rest_samples` of them the command did not move. `violations` are samples beyond a
-    limit, `stops` samples in which the controller gave up.
+    and one lag earlier than the move itself; in `rest_samples` of them the command did not move. `violations` are
+    samples beyond a limit, `stops` samples in which the controller gave up.
     """
     squares, held, resting, beyond, stops = dict[str, float](), 0, 0, 0, 0
     for run, motion in zip(runs, motions, strict=True):
         first = motion.first(run.dt)
         squares[motion.name] = float(np.mean(run.error_deg[first:] ** 2))
         still = np.abs(np.diff(run.log.command, prepend=run.rest_command)) <= _AT_REST * (limits.upper - limits.lower)
-        settle, early = round((SETTLED_S + delay_s + 3 * lag_s) / run.dt), math.ceil(delay_s / run.dt) + 1
+        settle, early = round((SETTLED_S + delay_s + 3 * lag_s) / run.dt), math.ceil((delay_s + lag_s) / run.dt) + 1
         for start, stop in holds(run.log.reference_deg, run.dt):
             part = still[max(start + settle, first) : max(stop - early, 0)]
             held, resting = held + part.size, resting + int(np.sum(part))

@@ -121,6 +121,24 @@ def test_before_a_hold_plans_are_left_alone() -> None:
     assert not np.array_equal(corrected(20, 0.5), corrected(20, 0.5, settle_s=0.0))
 
 
+def hurried(samples: int, off: float, sigma: float) -> float:
+    """First move behind a lag after some samples of rest, over the move that the angle needs in the end."""
+    bench = Bench(predictor=Lag(a=0.98, g=SLOPE), settle_s=0.0)
+    bench.script.sigma = sigma
+    assert bench.held(samples)
+    bench.script.disturbance = off
+    return (COMMAND - bench.step().u) / (off / SLOPE)
+
+
+@settings(max_examples=10)
+@given(st.floats(0.1, 0.3), st.sampled_from([-1.0, 1.0]))
+def test_after_a_while_at_rest_a_lag_is_not_hurried_for_what_may_be_noise(error: float, way: float) -> None:
+    at_once = hurried(2, way * error, 0.01)
+    assert at_once > 10.0
+    assert hurried(PATIENCE + 5, way * error, 0.0) == pytest.approx(at_once)
+    assert 0.0 < hurried(PATIENCE + 5, way * error, 0.01) < at_once / 3
+
+
 def test_nonsense_is_refused() -> None:
     with pytest.raises(ConfigError, match="patience_s"):
         HoldSettings.parse({"patience_s": -1.0})
