@@ -14,6 +14,7 @@
 #define FRAMES_NOISE R(4.0)  /* variances of a frame that count as noise of the learned part, whose basis is not exact */
 #define FRAMES_FLOOR R(0.25) /* of them below which no forecast has to come */
 #define FRAMES_KEPT R(0.9)   /* forgetting factor of a score, a block */
+#define FRAMES_GAIN R(0.3)   /* by which a forecast has to be better: little else corrects the model between frames */
 enum { FRAMES_FORECAST = 6 }; /* frames of a block of forecasts */
 
 static int frames_count(const hystmpc_known *known) {
@@ -143,6 +144,7 @@ HYSTMPC_LOCAL void hystmpc_frames_teach(const hystmpc_sensing *s, const hystmpc_
     taught.floor = most(taught.floor, FRAMES_FLOOR * variance);
     taught.block = FRAMES_FORECAST;
     taught.kept = FRAMES_KEPT;
+    taught.gain = FRAMES_GAIN;
     taught.expected = variance;
     for (int i = 0; i < frames_count(e.known); i++) {
         const real y = e.known->seen[i];
@@ -158,3 +160,4 @@ HYSTMPC_LOCAL void hystmpc_frames_teach(const hystmpc_sensing *s, const hystmpc_
 #undef FRAMES_NOISE
 #undef FRAMES_FLOOR
 #undef FRAMES_KEPT
+#undef FRAMES_GAIN

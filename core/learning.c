@@ -21,8 +21,7 @@ enum {
 };
 
 #define LEARN_BETTER R(0.8)     /* share of the present score at which another drive is taken */
-#define LEARN_LEAST_GAIN R(0.6) /* over the model's score, at which the learned part begins to act */
-#define LEARN_FULL_GAIN R(0.3)  /* beyond it, for its full effect */
+#define LEARN_FULL_GAIN R(0.3)  /* over the model's score, beyond the least one, for the learned part's full effect */
 #define LEARN_MOVING R(2.0)     /* variances of the filters by which an angle has to move in a block that counts */
 #define LEARN_RECENT R(0.8)     /* forgetting factor of the errors that a supervisor uses, a block */
 #define LEARN_WORST R(1.2)      /* error of a block is limited to this: one bad block is weak evidence */
@@ -140,7 +139,7 @@ static void judge(const hystmpc_learner *n, hystmpc_filters *l, const real *mean
     const real off = MATH(sqrt)(least(means[LEARN_MODEL_ALONE], means[l->best]) / means[LEARN_LAST_ANGLE]);
     l->forecast_error = LEARN_RECENT * l->forecast_error + (R(1.0) - LEARN_RECENT) * least(off, LEARN_WORST);
     l->blocks++;
-    l->share = clamp((gained - LEARN_LEAST_GAIN) / LEARN_FULL_GAIN, R(0.0), R(1.0));
+    l->share = clamp((gained - n->gain) / LEARN_FULL_GAIN, R(0.0), R(1.0));
 }
 
 /* Way of the command in the sample that led to the measured angle, as a share of the range. */
@@ -267,7 +266,6 @@ HYSTMPC_LOCAL void hystmpc_learning_state(const hystmpc_learner *n, const real *
 }
 
 #undef LEARN_BETTER
-#undef LEARN_LEAST_GAIN
 #undef LEARN_FULL_GAIN
 #undef LEARN_MOVING
 #undef LEARN_RECENT

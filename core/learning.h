@@ -15,6 +15,7 @@ typedef struct {
     real floor;                    /* mean square below which no forecast has to come */
     real expected;                 /* part of a score that is noise of the measurements */
     real kept;                     /* forgetting factor of a score, a block */
+    real gain;                     /* share of the model's score by which a forecast has to be better, to act */
     real scale;                    /* angle over the whole range */
     int delay;                     /* samples of delay that the estimator takes care of */
     int block;                     /* samples of a block of forecasts */

@@ -51,6 +51,7 @@ _BLOCK_S, _LEAST_BLOCK = 0.24, 3
 _SENSOR, _LEAST_SENSOR_DEG = 2.0, 0.05  # assumed noise is larger than the sensor's, since the basis is not exact
 _OFFSET_DEG, _GAIN, _DRIFT = 10.0, 1.0, 0.3  # standard deviations of offset, w_c; and of a drift [deg/sqrt(s)]
 _KEPT = 0.8  # of a score in a block
+_GAIN_TO_ACT = 0.6  # share of the model's score by which a forecast has to be better before it acts
 _FLOOR = 0.5  # standard deviations of the sensor: no model has to predict better
 
 _VECTOR = DELAYS, _SIZE, LAGS_S.size
@@ -166,7 +167,8 @@ class FilterBank:
 
         s = (1 - (score + e) / (score of the model + e) - 0.6) / 0.3, within 0 and 1,   e = (sensor / 2)^2
 
-    so that it has to predict clearly better than the model, and fades where it does not.
+    so that it has to predict clearly better than the model, and fades where it does not. With frames 0.3 takes the
+    place of 0.6, and their noise that of the sensor: between frames little else corrects the model.
 
     Args:
         command_range: ends of the commands [mm or bar].
@@ -202,6 +204,7 @@ class FilterBank:
             noise=(_SENSOR * sensor) ** 2,
             floor=(_FLOOR * sensor) ** 2,
             kept=_KEPT,
+            gain=_GAIN_TO_ACT,
             scale=scale,
             delay=delay,
             block=max(round(_BLOCK_S / dt), _LEAST_BLOCK),
