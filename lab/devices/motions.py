@@ -47,13 +47,13 @@ def _recorded(plant: DrawnPlant, motion: Trajectory, name: str) -> Trial:
 def fresh_motions(plant: DrawnPlant, quick: bool = False) -> tuple[CountedMotion, ...]:
     """Point to point with holds, a scan and a fast scan, over random ranges within the reachable angles."""
     random = np.random.default_rng([plant.device.seed, 2])
-    speed = _SLOPE_SHARE * _speed(plant)
+    speed = reference_speed(plant)
     moves, scan_s = (1, 0.0) if quick else (5, 10.0)
     return drawn_motions(random, plant.true_angle, plant.reachable_deg, speed, SCANS_HZ, moves=moves, scan_s=scan_s)
 
 
-def _speed(plant: DrawnPlant) -> float:
-    """Mean slope times the greatest change of the command [deg/s]."""
+def reference_speed(plant: DrawnPlant) -> float:
+    """Greatest speed of fast references: a share of the mean slope times the command's greatest rate [deg/s]."""
     low, high = plant.reachable_deg
     limits = plant.device.limits
-    return (high - low) / limits.upper * limits.rate
+    return _SLOPE_SHARE * (high - low) / limits.upper * limits.rate
