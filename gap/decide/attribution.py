@@ -90,8 +90,9 @@ def attribute(
     floor_mse = max(noise_mse, prepared.form_mse)
     if jumping:
         floor_mse = max(floor_mse, min(jumps.mse, _PREDICTABLE * retuned.mse))
-    excluded = (*left_out, "stick_slip") if jumps.absent else left_out
-    library = usable_effects(prepared, prepared.baseline.effects, excluded, prepared.development)
+    library = usable_effects(prepared, prepared.baseline.effects, left_out, prepared.development)
+    if jumps.absent:  # friction in the core can be greater at rest without a jump
+        library = tuple(c for c in library if c.effect != "stick_slip" or not c.operators)
     without = left_out
     if prepared.checked.unrelated:  # nothing to explain: only the baseline is evaluated
         library, without = (), (*left_out, *OF_SINGLE_TRIALS)
