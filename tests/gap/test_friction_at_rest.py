@@ -60,8 +60,10 @@ def recorded(core: Operator) -> list[Trial]:
 
 @pytest.mark.slow
 def test_without_a_jump_it_is_named_with_its_numbers() -> None:
-    found, _ = conclude(find_causes(recorded(REST_PI), simulator_of(STATIC_PI)))
+    findings = find_causes(recorded(REST_PI), simulator_of(STATIC_PI))
+    found, _ = conclude(findings)
     (effect,) = found.effects
+    assert findings.attribution.facts.width_grown == pytest.approx(1.0, rel=0.1)  # of a motion that is not at rest
     assert (found.verdict, effect.name) == ("named", "stick_slip")
     assert effect.parameters["rest_share"] == pytest.approx(1.5, rel=0.15)
     assert effect.parameters["rest_speed"] == pytest.approx(1.0, rel=0.15)
