@@ -25,7 +25,8 @@ from .free_run import StagedChain
 _EFFECTS_BY_ANOTHER_NAME = {"beta": "rate_dependence", "rest_share": "stick_slip", "rest_speed": "stick_slip"}
 _REST_SHARE = (1.0, 4.0)  # first tried, since at none the speed makes no difference; greatest
 _REST_SPEED = (0.01, 0.2, 10.0)  # spans a second: least, first tried and greatest speed at which friction falls
-_LINEAR_IN_WEIGHTS = (Line, PrandtlIshlinskii, CurvedPlays)
+_OF_PLAYS = (PrandtlIshlinskii, CurvedPlays)
+_LINEAR_IN_WEIGHTS = (Line, *_OF_PLAYS)
 _CURVES = {"quadratic": (1, 0.05), "cubic": (2, 0.1)}  # power of the span, usual change
 # In usual changes: of friction and stiffness up to 2.3 on drawn devices, of a further nonlinear gain 4 or more.
 _MOST_CURVED = 3.0
@@ -187,7 +188,8 @@ class FreeCoreBaseline(Baseline):
         self.width = names.index("alpha") if "alpha" in names else -1
         if isinstance(core, CurvedPlays):
             first = len(slopes) + 1
-            held = set(range(first if not free_widths else first + core.plays, values.size))
+            ends = values.size - len(core.speeds)
+            held = set(range(first if not free_widths else first + core.plays, ends))
             if one_friction and core.plays and core.radii[0] > 0:
                 held.discard(first)
                 self.lower[first], self.upper[first] = (factor * core.radii[0] for factor in _FRICTION)
@@ -328,7 +330,7 @@ def baseline_of(chain: Chain, command: Range) -> Baseline:
 
 def with_friction_at_rest(chain: Chain, command: Range) -> Chain:
     """Same chain, whose plays can have another friction at rest: an effect, which retuning leaves at none."""
-    if not isinstance(chain.core, PrandtlIshlinskii) or chain.core.rate:
+    if not isinstance(chain.core, _OF_PLAYS) or chain.core.rate:
         return chain
     speed = _REST_SPEED[1] * (command.upper - command.lower)
     return replace(chain, core=replace(chain.core, speeds=(0.0, speed)))
@@ -336,7 +338,7 @@ def with_friction_at_rest(chain: Chain, command: Range) -> Chain:
 
 def without_idle_friction(chain: Chain) -> Chain:
     """Same chain without a friction at rest that is none."""
-    idle = isinstance(chain.core, PrandtlIshlinskii) and chain.core.speeds[:1] == (0.0,)
+    idle = isinstance(chain.core, _OF_PLAYS) and chain.core.speeds[:1] == (0.0,)
     return replace(chain, core=replace(chain.core, speeds=())) if idle else chain  # type: ignore[type-var]
 
 

@@ -10,7 +10,7 @@ import casadi as ca
 
 from hystmpc.trials.errors import ModelError
 
-from .operator import Operator, Parameter, Symbol, play
+from .operator import FRICTION_AT_REST, Operator, Parameter, Symbol, at_speed, check_speeds, play
 from .static_curves import Pieces, band_parameters, check_bands, pieces_of
 
 _LITTLE = 1e-9  # share of a divisor that avoids a division by zero
@@ -93,8 +93,7 @@ class PrandtlIshlinskii(PlaySum):
     size_limits: ClassVar[Mapping[str, tuple[int, int]]] = {"rate": (0, 1)}
 
     def check_sizes(self) -> None:
-        if len(self.speeds) not in (0, 2):
-            raise ModelError(f"{self.name}: {len(self.speeds)} numbers of the speed, expected none or 2")
+        check_speeds(self.name, self.speeds)
 
     @classmethod
     def template(cls, **structure: int) -> Self:
@@ -108,11 +107,7 @@ class PrandtlIshlinskii(PlaySum):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        at_rest = (
-            Parameter("rest_share", "1", 0.0, 10.0, "share by which friction at rest exceeds that of a fast motion"),
-            Parameter("rest_speed", "cmd/s", 1e-3, 1e4, "speed at which 1/e of that is left"),
-        )
-        return (*super().parameters, *at_rest) if self.rate else super().parameters
+        return (*super().parameters, *(FRICTION_AT_REST if self.rate else ()))
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -123,7 +118,7 @@ class PrandtlIshlinskii(PlaySum):
         alpha, beta, b = p[n + 1], p[n + 2], p[n + 3]
         speed = ca.fabs(u - x[0]) / dt
         if self.rate:
-            alpha = alpha * (1 + p[n + 4] * ca.exp(-speed / p[n + 5]))
+            alpha = alpha * at_speed(speed, p[n + 4], p[n + 5])
         z = [play(u, x[i], alpha * i + beta * speed) for i in range(1, n + 1)]
         theta = p[0] * u + sum(p[i] * z[i - 1] for i in range(1, n + 1)) + b
         return ca.vertcat(u, *z), theta

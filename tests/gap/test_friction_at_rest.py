@@ -11,13 +11,15 @@ from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.models.chain import Chain
 from hystmpc.models.identify.baseline import baseline_of, with_friction_at_rest, without_idle_friction
 from hystmpc.models.identify.problem import Problem
+from hystmpc.models.operators.hysteresis import CurvedPlays
 from hystmpc.models.operators.operator import Operator
+from hystmpc.models.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from ..models.running import run_operator
-from ..models.zoo import REST_PI, STATIC_PI
+from ..models.zoo import CURVED, GRADUAL, REST_CURVED, REST_PI, STATIC_PI
 from .engine_examples import COMMAND, DT, device_runs, moves, simulator_of, sine, trials_of
 
 
@@ -27,17 +29,28 @@ def ramps(speed: float, levels: tuple[float, ...] = (0.0, 5.5, 1.0, 4.0, 0.0)) -
     return np.interp(np.arange(0.0, ends[-1], DT), ends, levels)
 
 
+def wider(core: PrandtlIshlinskii | CurvedPlays, factor: float) -> PrandtlIshlinskii | CurvedPlays:
+    """Core with all plays wider."""
+    if isinstance(core, PrandtlIshlinskii):
+        return replace(core, alpha=factor * core.alpha)
+    return replace(core, radii=tuple(factor * r for r in core.radii))
+
+
+@pytest.mark.parametrize("core", [STATIC_PI, CURVED, GRADUAL], ids=["pi", "curved", "gradual"])
 @pytest.mark.parametrize(("rest_speed", "factor"), [(1e3, 2.5), (0.01, 1.0)])
-def test_thresholds_grow_in_proportion_at_rest_and_not_in_a_fast_motion(rest_speed: float, factor: float) -> None:
+def test_thresholds_grow_in_proportion_at_rest_and_not_in_a_fast_motion(
+    core: PrandtlIshlinskii | CurvedPlays, rest_speed: float, factor: float
+) -> None:
     command = np.concatenate([np.arange(0.0, 5.5, DT), np.arange(5.5, 0.0, -DT)])
-    found = run_operator(replace(REST_PI, speeds=(1.5, rest_speed)), command)
-    scaled = run_operator(replace(STATIC_PI, alpha=factor * STATIC_PI.alpha), command)
+    found = run_operator(replace(core, speeds=(1.5, rest_speed)), command)
+    scaled = run_operator(wider(core, factor), command)
     back = slice(-command.size // 3, None)  # behind the turn, where every play is carried along
     np.testing.assert_allclose(found[back], scaled[back], atol=0.02)
 
 
-def test_retuning_leaves_it_at_none_and_a_simulator_without_it_is_as_given() -> None:
-    chain = Chain(STATIC_PI)
+@pytest.mark.parametrize("core", [STATIC_PI, CURVED, GRADUAL], ids=["pi", "curved", "gradual"])
+def test_retuning_leaves_it_at_none_and_a_simulator_without_it_is_as_given(core: Operator) -> None:
+    chain = Chain(core)
     wide = with_friction_at_rest(chain, COMMAND)
     assert without_idle_friction(wide) == chain
     assert without_idle_friction(Chain(REST_PI)) == Chain(REST_PI)
@@ -59,8 +72,9 @@ def recorded(core: Operator) -> list[Trial]:
 
 
 @pytest.mark.slow
-def test_without_a_jump_it_is_named_with_its_numbers() -> None:
-    findings = find_causes(recorded(REST_PI), simulator_of(STATIC_PI))
+@pytest.mark.parametrize(("core", "plain"), [(REST_PI, STATIC_PI), (REST_CURVED, CURVED)], ids=["pi", "curved"])
+def test_without_a_jump_it_is_named_with_its_numbers(core: Operator, plain: Operator) -> None:
+    findings = find_causes(recorded(core), simulator_of(plain))
     found, _ = conclude(findings)
     (effect,) = found.effects
     assert findings.attribution.facts.width_grown == pytest.approx(1.0, rel=0.1)  # of a motion that is not at rest

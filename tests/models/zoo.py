@@ -34,6 +34,8 @@ DEADBAND = Deadband(1.1, (0.5, 0.08), (0.6, 0.1), (15.0, 10.0), (15.0, 15.0), 50
 DRDPI = Drdpi(3.0, (2.5, 2.0, 1.5, 1.2), 0.15, 0.012, -28.0, (0.5, 0.08), (0.6, 0.1), (12.0, 8.0), (12.0, 12.0), 48.0)
 CURVED = CurvedPlays((2.0, 3.0, 1.5, 2.0, 2.5, 2.0, 1.0, 1.5, 1.0, 0.5, 3.0, 2.0), 20.0, (0.2, 0.7), 0.5, 5.5, 3)
 GRADUAL = CurvedPlays(CURVED.slopes, 20.0, (0.2, 0.7), 0.5, 5.5, 3, turn=1)
+REST_CURVED = replace(CURVED, speeds=(1.5, 1.0))
+REST_GRADUAL = replace(GRADUAL, speeds=(1.5, 1.0))
 OSCILLATOR = Oscillator(0.01, 0.1, 1.0, 0.5, 0.02, -0.01)
 STATE_NETWORK = StateNetwork(
     (0.9, -0.2, 0.3, 0.8),
@@ -68,6 +70,8 @@ EXAMPLES: tuple[Operator, ...] = (
     BOUC_WEN,
     CURVED,
     GRADUAL,
+    REST_CURVED,
+    REST_GRADUAL,
     Lag(0.08),
     Delay(0.1, 4),
     Lag(0.08, (0.25,)),
