@@ -79,7 +79,7 @@ def test_without_a_jump_it_is_named_with_its_numbers(core: Operator, plain: Oper
     (effect,) = found.effects
     assert findings.attribution.facts.width_grown == pytest.approx(1.0, rel=0.1)  # of a motion that is not at rest
     assert (found.verdict, effect.name) == ("named", "stick_slip")
-    assert effect.parameters["rest_share"] == pytest.approx(1.5, rel=0.15)
+    assert effect.parameters["rest_share"] == pytest.approx(3.0, rel=0.15)
     assert effect.parameters["rest_speed"] == pytest.approx(1.0, rel=0.15)
     assert found.gap.with_effects_rmse_deg == pytest.approx(0.05, rel=0.3)
 
