@@ -46,7 +46,7 @@ def _one_way(u: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     del scene, shape
     way = np.sign(rise(u))
     last = np.maximum.accumulate(np.where(way != 0, np.arange(u.size), 0))
-    return 1 + size * (way[last] < 0)
+    return np.where(way[last] < 0, 1 + size, 1.0)
 
 
 def _session_set(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
@@ -57,6 +57,9 @@ def _session_set(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
 
 ONE_WAY = Generator("one_way", "asymmetry", "friction", 1.0, 5.0, between(), _one_way)
 SESSION_SET = Generator("session_set", "first_flexure", "tip", 0.1, 0.5, between(), _session_set)
+
+
+_Part = tuple[str, dict[str, float]]
 
 
 @dataclass(frozen=True)
@@ -72,7 +75,7 @@ class Line:
 
     name: str
     truth: tuple[str, ...]
-    parts: tuple[tuple[str, dict[str, float]], ...]
+    parts: tuple[_Part, ...]
     sizes: tuple[tuple[float, ...], tuple[float, ...]]
     ordered: bool = True
 
@@ -80,7 +83,8 @@ class Line:
 _DELAY, _RISING, _CREEP = ("jittered_delay", {"jitter": 0.05}), ("viscous_wrap", {"power": 1.0}), "tendon_log_creep"
 _LAG, _BEAT = ("cascaded_servo", {"inner": 1.8, "strokes_per_s": 8.0}), ("heartbeat", {"rate_hz": 1.2})
 _SOFTER = ("thermal_drift", {"sign": 1.0, "walk": 0.2, "softening": 1.0})
-_STRIBECK, _SET = ("stribeck", {}), ("session_set", {})
+_STRIBECK: _Part = ("stribeck", {})
+_SET: _Part = ("session_set", {})
 LINES = (
     Line("none", (), (), ((), ())),
     Line("delay", ("delay",), (_DELAY,), ((0.11,), (0.06,))),

@@ -188,8 +188,8 @@ class FreeCoreBaseline(Baseline):
         self.width = names.index("alpha") if "alpha" in names else -1
         if isinstance(core, CurvedPlays):
             first = len(slopes) + 1
-            ends = values.size - len(core.speeds)
-            held = set(range(first if not free_widths else first + core.plays, ends))
+            stop = values.size - len(core.speeds)
+            held = set(range(first if not free_widths else first + core.plays, stop))
             if one_friction and core.plays and core.radii[0] > 0:
                 held.discard(first)
                 self.lower[first], self.upper[first] = (factor * core.radii[0] for factor in _FRICTION)
