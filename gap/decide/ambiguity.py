@@ -16,8 +16,9 @@ from hystmpc.models.identify.cross_validation import (
     Hypothesis,
     gain,
     mean_square_difference,
+    sureness,
 )
-from hystmpc.models.identify.selection import Selection, line_share
+from hystmpc.models.identify.selection import Selection, SelectionSettings, line_share
 from hystmpc.models.identify.timing import timing_errors
 from hystmpc.models.identify.uncertainty import uncertainty
 
@@ -38,13 +39,15 @@ def ambiguity_of(selection: Selection, drift_shows: Callable[[Hypothesis], bool]
     """Sets of effects that explain the development trials equally well, the chosen effect first.
 
     A drift and shifts between trials are distinguished by the drift within the trials, or by shifts that follow the
-    clock more closely than by chance.
+    clock more closely than by chance. A clear line at a frequency that is not the motion's is no other effect.
     """
     chosen, sets = selection.chosen, []
     names = chosen.hypothesis.effects
     for effect in sorted(names):
         rest = names - {effect}
         others = []
+        if effect == "periodic_disturbance" and _clear(selection.tried.get(rest), chosen):
+            continue
         for tried, judged in selection.tried.items():
             exchanged = len(tried) == len(names) and rest < tried and tried != names
             if not exchanged or _distinguishable(chosen, judged):
@@ -59,6 +62,11 @@ def ambiguity_of(selection: Selection, drift_shows: Callable[[Hypothesis], bool]
         if others:
             sets.append((effect, *others))
     return tuple(sets)
+
+
+def _clear(before: HeldOutErrors | None, after: HeldOutErrors) -> bool:
+    """Whether the error falls by so many standard errors that a line leaves no doubt."""
+    return before is not None and sureness(before, after) > SelectionSettings().clear_errors
 
 
 def _distinguishable(chosen: HeldOutErrors, other: HeldOutErrors) -> bool:

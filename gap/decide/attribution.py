@@ -87,12 +87,14 @@ def attribute(
     unusable = bool(prepared.too_little or prepared.checked.unrelated)
     jumping = jumps.seen and "stick_slip" not in left_out and not unusable
     noise_mse = max(white_noise(prepared.residuals(retuned)), prepared.rounding_deg) ** 2
-    floor_mse = max(noise_mse, prepared.form_mse)
+    # The sensor's fault and the form of the simulator are independent: their squares add up.
+    floor_mse = max(noise_mse, prepared.form_mse + (prepared.excess_mse if prepared.form_mse else 0.0))
     if jumping:
         floor_mse = max(floor_mse, min(jumps.mse, _PREDICTABLE * retuned.mse))
-    excluded = (*left_out, "stick_slip") if jumps.absent else left_out
-    library = usable_effects(prepared, prepared.baseline.effects, excluded, prepared.development)
-    without = left_out
+    library = usable_effects(prepared, prepared.baseline.effects, left_out, prepared.development)
+    if jumps.absent:  # friction in the core can be greater at rest without a jump
+        library = tuple(c for c in library if c.effect != "stick_slip" or not c.operators)
+    without = (*left_out, "trial_shift") if _within_a_step(prepared, retuned) else tuple(left_out)
     if prepared.checked.unrelated:  # nothing to explain: only the baseline is evaluated
         library, without = (), (*left_out, *OF_SINGLE_TRIALS)
     selection = select(validation, library, SelectionSettings(), floor_mse, without, advance, prepared.excess_mse)
@@ -118,6 +120,7 @@ def attribute(
             ambiguity=ambiguity_of(selection, drift_test(validation)),
             sensor="sensor" not in without and _sensor_matters(prepared, selection),
             sensor_gap=_is_gap(prepared, prepared.excess_mse + _repair_mse(prepared)),
+            excess_mse=prepared.excess_mse,
             new_step="sensor" not in without and prepared.new_step and step_mse >= _STEP_SHARE * baseline.mse,
             jumps=jumping,
             too_little=bool(prepared.too_little),
@@ -237,6 +240,12 @@ def _repair_mse(prepared: PreparedTrials) -> float:
     """Mean square change of the angle by the repair of outliers and held values [deg^2]."""
     mended = np.concatenate([raw - run.angle for raw, run in zip(prepared.raw, prepared.everything, strict=True)])
     return float(np.mean(mended**2))
+
+
+def _within_a_step(prepared: PreparedTrials, retuned: Hypothesis) -> bool:
+    """Whether the mean error of every trial is below half of a coarse step: in a hold rounding is as far off."""
+    half = 0.5 * prepared.signs.quantisation_deg
+    return prepared.signs.coarse and all(abs(float(error.mean())) < half for error in prepared.residuals(retuned))
 
 
 def _is_gap(prepared: PreparedTrials, mse: float) -> bool:

@@ -97,8 +97,10 @@ def retuning_of(prepared: PreparedTrials, retuned: Hypothesis, left_out_mse: flo
 
 def width_grown(hypothesis: Hypothesis) -> float:
     """Ratio of the loop width of a hypothesis, without its effects, to that of the simulator as given."""
-    baseline = hypothesis.problem.baseline
-    before, after = (baseline.loop_width(z) for z in (baseline.nominal, hypothesis.z))
+    baseline, z = hypothesis.problem.baseline, hypothesis.z
+    of_effects = [k for names in baseline.effects.values() for k in names.values()]
+    z[of_effects] = baseline.nominal[of_effects]
+    before, after = baseline.loop_width(baseline.nominal), baseline.loop_width(z)
     return after / before if before > 0 else 1.0
 
 

@@ -91,6 +91,7 @@ class VerdictFacts:
         ambiguity: for each effect the others that explain the development trials equally well.
         sensor: whether the sensor's faults are a good part of the error that the effects leave.
         sensor_gap: whether the sensor's faults alone would be a gap.
+        excess_mse: energy of the sensor's noise beyond that at identification [deg^2].
         new_step: whether the readings have steps absent in the simulator's device, and not negligible in the error.
         too_little, unrelated: whether the trials are too short, or no angle follows its command.
         width_grown: width of the loop with the selected effects, over the given one.
@@ -107,6 +108,7 @@ class VerdictFacts:
     ambiguity: tuple[tuple[str, ...], ...] = ()
     sensor: bool = False
     sensor_gap: bool = False
+    excess_mse: float = 0.0
     new_step: bool = False
     jumps: bool = False
     too_little: bool = False
@@ -173,7 +175,7 @@ def decide_verdict(facts: VerdictFacts) -> VerdictDecision:
     none_selected, form, retuned = not facts.effects, facts.form_mse, facts.least_retuned_mse
     left_open = facts.closed < _LEAST_CLOSED and facts.chosen_mse > STILL_OPEN * facts.floor_mse
     repeats = facts.retuning.unrepeatable < _UNREPEATABLE
-    no_gap = retuned < NO_GAP * form
+    no_gap = retuned - (facts.excess_mse if facts.sensor else 0.0) < NO_GAP * form
     rows: tuple[tuple[str, bool], ...] = (
         ("too_little", facts.too_little),
         ("unrelated", facts.unrelated),

@@ -14,7 +14,13 @@ from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.decades import Decades
 from hystmpc.models.evaluate import free_run, started
-from hystmpc.models.identify.baseline import Baseline, FreeCoreBaseline, ScaledBaseline, baseline_of
+from hystmpc.models.identify.baseline import (
+    Baseline,
+    FreeCoreBaseline,
+    ScaledBaseline,
+    baseline_of,
+    with_friction_at_rest,
+)
 from hystmpc.models.identify.cross_validation import Hypothesis, fit_problem
 from hystmpc.models.identify.free_run import StagedChain
 from hystmpc.models.identify.problem import Problem
@@ -204,7 +210,7 @@ def _baseline_and_runs(
     played = decades.trials([as_simulated(t) for t in checked.trials]) if have_simulated(checked.trials) else None
     if isinstance(simulator, Simulator):
         simulator_chain, chain = (decades.chain(s.chain) for s in (simulator, simulator.at_sample_time(checked.dt)))
-        baseline = baseline_of(chain, command)
+        baseline = baseline_of(with_friction_at_rest(chain, command), command)
         starts = starts_at_simulator_rate([repaired(trial, signs) for trial in given], simulator.dt_s, checked.dt)
         runs = _with_starts(baseline, runs_of(repaired_trials, None, before, starts), simulator, decades)
         if played is None:

@@ -77,8 +77,8 @@ static double bend(const Device *d, double *core, int n, int steps) {
     const double *c = d->core, *places = d->places;
     double *out = d->spare;
     if (d->kind == CAPSTAN) {
-        const double *shares = c + 3, *weights = shares + d->size;
-        hystmpc_capstan(places + 1, n, c, 0, c[2], core, d->size, shares, weights, weights + d->size, c[1], out);
+        const double *shares = c + 3, *weights = shares + d->size, one = 1.0;
+        hystmpc_capstan(places + 1, n, c[0], &one, 0, c[2], core, d->size, shares, weights, weights + d->size, c[1], out);
         return p->offset_deg + p->gain * out[n - 1];
     }
     if (d->kind == DAHL) {

@@ -4,17 +4,18 @@
 enum { SOLVES = 30 };
 
 /* Newton's method for T0, whose end tensions are `following` (N,); `low` and `high` are the ends of the friction cones
- * over T0, without `drag`. */
+ * over T0, without `drag`, whose factor is `scale`. */
 static double proximal(double t0, double x, const double *tension, const double *low, const double *high,
-                       const double *drag, int nodes, const double *shares, double rest, double *following) {
+                       const double *drag, double scale, int nodes, const double *shares, double rest,
+                       double *following) {
     for (int round = 0; round < SOLVES; round++) {
         double total = 0.0, slope = 0.0;
         for (int i = 0; i < nodes; i++) {
             double value = tension[i], rate = 0.0;
-            if (value < t0 * low[i] - drag[i])
-                value = t0 * low[i] - drag[i], rate = low[i];
-            else if (value > t0 * high[i] + drag[i])
-                value = t0 * high[i] + drag[i], rate = high[i];
+            if (value < t0 * low[i] - scale * drag[i])
+                value = t0 * low[i] - scale * drag[i], rate = low[i];
+            else if (value > t0 * high[i] + scale * drag[i])
+                value = t0 * high[i] + scale * drag[i], rate = high[i];
             else if (i == 0)
                 value = t0, rate = 1.0;
             total += shares[i] * (value - rest);
@@ -38,15 +39,16 @@ static void cones(double wrap, double curl, const double *tension, const double 
     }
 }
 
-void hystmpc_capstan(const double *x, int samples, const double *wrap, int stride, double curl, double *tension,
-                     int nodes, const double *shares, const double *weights, const double *drag, double rest,
-                     double *out) {
+void hystmpc_capstan(const double *x, int samples, double wrap, const double *scale, int stride, double curl,
+                     double *tension, int nodes, const double *shares, const double *weights, const double *drag,
+                     double rest, double *out) {
     double low[MOST_NODES], high[MOST_NODES], following[MOST_NODES];
     if (nodes < 1 || nodes > MOST_NODES) return;
     double t0 = tension[0];
     for (int k = 0; k < samples; k++) {
-        if (k == 0 || stride || curl > 0.0) cones(wrap[k * stride], curl, tension, weights, rest, nodes, low, high);
-        t0 = proximal(t0, x[k], tension, low, high, drag, nodes, shares, rest, following);
+        const double factor = scale[k * stride];
+        if (k == 0 || stride || curl > 0.0) cones(wrap * factor, curl, tension, weights, rest, nodes, low, high);
+        t0 = proximal(t0, x[k], tension, low, high, drag, factor, nodes, shares, rest, following);
         double bend = 0.0;
         for (int i = 0; i < nodes; i++) {
             tension[i] = following[i];

@@ -14,9 +14,9 @@ enum { MOST_NODES = 64 };
  *     out = sum weights_i (T_i - rest)
  *
  * s_i = i / (N - 1) + curl |bend of the points up to i|, as the tendon's way is bent with them [mm]. T0 meets the
- * displacement x. kappa is `wrap` (T,), or one number where stride is 0; shares, weights (N,) [mm/N];
- * `drag` d (N,) [N]. */
-HYSTMPC_API void hystmpc_capstan(const double *x, int samples, const double *wrap, int stride,
+ * displacement x. kappa is `wrap` and d is `drag` (N,) [N], both times `scale` (T,), or one number where stride is 0;
+ * shares, weights (N,) [mm/N]. */
+HYSTMPC_API void hystmpc_capstan(const double *x, int samples, double wrap, const double *scale, int stride,
                                  double curl, double *tension, int nodes, const double *shares,
                                  const double *weights, const double *drag, double rest, double *out);
 

@@ -22,7 +22,7 @@ TRAVEL_MM = 6.0
 STROKE = 0.6
 """Share of the travel of the unlogged cycle before a trial, so that a trial does not open a virgin device."""
 
-_NODES, _JOINTS = 16, 12
+_NODES = 16
 FINE_S = 0.002
 RATE_HZ = 25.0
 PARTS = round(1 / (RATE_HZ * FINE_S))
@@ -135,7 +135,7 @@ class TendonCore(QuasiStatic):
 
     def deflection(self, x: Vec, scale: Vec) -> Vec:
         out, tension = np.empty(x.size), self.virgin()
-        kernels.capstan(x, self.wrap * scale, self.CURL, tension, self.points(), self.pretension, out)
+        kernels.capstan(x, self.wrap, scale, self.CURL, tension, self.points(), self.pretension, out)
         return out
 
     def virgin(self) -> Vec:
@@ -250,11 +250,11 @@ def _at_speed(x: Vec, breakaway: float, speed: float) -> Vec:
 @final
 @dataclass(frozen=True)
 class JointsCore(TendonCore):
-    """Twelve elastic joints in series, each with dry friction, on an elastic tendon that loses tension along them.
+    """Elastic joints in series, each with dry friction, on an elastic tendon that loses tension along them.
 
     Joint i holds its moment over the tendon's arm, M_i [N], while it is within its friction of the tension there:
 
-        T exp(-wrap s_i) - d_i <= M_i <= T exp(+wrap s_i) + d_i,  s_i = i / 12 + CURL |bend up to joint i|
+        T exp(-wrap s_i) - d_i <= M_i <= T exp(+wrap s_i) + d_i,  s_i = i / joints + CURL |bend up to joint i|
 
     Attributes:
         gain: tip angle over distal displacement [deg/mm].
@@ -266,6 +266,7 @@ class JointsCore(TendonCore):
         compliance: of the tendon [mm/N].
         pretension: at rest [N].
         breakaway, speed: of the friction of the joints and of the tendon, as those of `DahlCore`.
+        joints: how many.
     """
 
     DRAWN: ClassVar = {
@@ -291,14 +292,15 @@ class JointsCore(TendonCore):
     pretension: float = 6.0
     breakaway: float = 0.0
     speed: float = 2.0
+    joints: int = 12
 
     def deflection(self, x: Vec, scale: Vec) -> Vec:
         return super().deflection(x, scale * _at_speed(x, self.breakaway, self.speed))
 
     def points(self) -> tuple[Vec, Vec, Vec]:
-        weights = np.concatenate([[0.0], np.full(_JOINTS, 1 / (_JOINTS * self.load))])
-        drags = np.geomspace(1.0, self.spread, _JOINTS)
-        shares = weights + np.concatenate([[self.compliance], np.zeros(_JOINTS)])
+        weights = np.concatenate([[0.0], np.full(self.joints, 1 / (self.joints * self.load))])
+        drags = np.geomspace(1.0, self.spread, self.joints)
+        shares = weights + np.concatenate([[self.compliance], np.zeros(self.joints)])
         return shares, weights, np.concatenate([[0.0], drags * self.friction / drags.mean()])
 
     def stiffer(self, factor: float) -> Self:

@@ -23,13 +23,16 @@ MUSCLE_PARTS = 2
 """Steps of a muscle in a fine step, whose valve takes 2 ms."""
 
 
-def capstan(x: Vec, wrap: Vec, curl: float, tension: Vec, points: tuple[Vec, Vec, Vec], rest: float, out: Vec) -> None:
+def capstan(
+    x: Vec, wrap: float, scale: Vec, curl: float, tension: Vec, points: tuple[Vec, Vec, Vec], rest: float, out: Vec
+) -> None:
     """Bend out (T,) of a catheter with the tendon's proximal end at x (T,) [mm]; `tension` (N,) [N] is the state.
 
     Args:
+        scale: factors of wrap and drags (T,).
         points: shares, weights and drags, (N,) each.
     """
-    laboratory().capstan(x, x.size, wrap, 1, curl, tension, tension.size, *points, rest, out)
+    laboratory().capstan(x, x.size, wrap, scale, 1, curl, tension, tension.size, *points, rest, out)
 
 
 def dahl(x: Vec, scale: Vec, widths: Vec, shares: Vec, deflection: Vec, out: Vec) -> None:

@@ -1,4 +1,4 @@
-"""`hystmpc gap blind make|run|order|investigate|score|record|ablate`: the blind check of the diagnosis."""
+"""`hystmpc gap rod`, and `hystmpc gap blind make|run|order|investigate|score|record|ablate`: the diagnosis tested."""
 
 from __future__ import annotations
 
@@ -33,6 +33,21 @@ Jobs = Annotated[int | None, typer.Option(min=1, help="Processes, one thread eac
 @gap.callback()
 def _group() -> None:
     """The sim-to-real diagnosis put to the test."""
+
+
+@gap.command()
+def rod(
+    seed: Annotated[int, typer.Option(min=0, help="Of the catheter.")],
+    cause: Annotated[list[str] | None, typer.Option(help="Line of the table; repeatable; else all.")] = None,
+) -> None:
+    """Diagnose causes that were missed before, and mixtures, on a long catheter with dry friction in its joints."""
+    from ..blind.long_rod import COLUMNS, missed_lines, row
+
+    with progress_of("diagnose") as progress:
+        found = missed_lines(seed, cause or (), progress)
+    out.print(table(f"long catheter {seed}", COLUMNS, [row(said) for said in found]))
+    exact, wrong = (sum(getattr(said, name) for said in found) for name in ("exact", "wrong"))
+    out.print(f"exact {exact}, wrong names {wrong}, of {len(found)}")
 
 
 @blind.command()

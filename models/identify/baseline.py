@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 from typing import final
 
@@ -21,8 +22,11 @@ from ..operators.static_curves import Line, NonlinearGain
 from .free_run import StagedChain
 
 # Parameters of cores that are effects by another name: retuning leaves them at their nominal values.
-_EFFECTS_BY_ANOTHER_NAME = {"beta": "rate_dependence"}
-_LINEAR_IN_WEIGHTS = (Line, PrandtlIshlinskii, CurvedPlays)
+_EFFECTS_BY_ANOTHER_NAME = {"beta": "rate_dependence", "rest_share": "stick_slip", "rest_speed": "stick_slip"}
+_REST_SHARE = (1.0, 4.0)  # first tried, since at none the speed makes no difference; greatest
+_REST_SPEED = (0.01, 0.2, 10.0)  # spans a second: least, first tried and greatest speed at which friction falls
+_OF_PLAYS = (PrandtlIshlinskii, CurvedPlays)
+_LINEAR_IN_WEIGHTS = (Line, *_OF_PLAYS)
 _CURVES = {"quadratic": (1, 0.05), "cubic": (2, 0.1)}  # power of the span, usual change
 # In usual changes: of friction and stiffness up to 2.3 on drawn devices, of a further nonlinear gain 4 or more.
 _MOST_CURVED = 3.0
@@ -40,6 +44,7 @@ class Baseline(ABC):
         command: range of the command [cmd].
         nominal, lower, upper, scale: nominal values, bounds and typical changes of z (Z,).
         effects: positions in z that retuning keeps fixed, because they are effects: {effect: {name: position}}.
+        begin: values of effects at which their fit begins, by position in z, where it is not that of the simulator.
         held: positions in z of values that are chosen and never fitted.
         width: position in z of the width of the loop, -1 for none.
         linear: of which unknowns the angle is a linear function while the others stay (Z,).
@@ -49,6 +54,7 @@ class Baseline(ABC):
     """
 
     effects: Mapping[str, Mapping[str, int]] = MappingProxyType({})
+    begin: Mapping[int, float] = MappingProxyType({})
     held: tuple[int, ...] = ()
     width: int = -1
     roughness: Vec = np.empty((0, 0))
@@ -159,7 +165,7 @@ class FreeCoreBaseline(Baseline):
         slopes = [abs(v) for v, p in zip(values, parameters, strict=True) if p.unit == "deg/cmd"]
         gain = max(sum(slopes) / (core.pieces + 1 if isinstance(core, CurvedPlays) else 1), 1e-6)
         typical = {"cmd": 0.05 * span, "deg/cmd": 0.1 * gain, "deg": 0.05 * gain * span, "s": 0.02}
-        little = {"1/cmd": 0.1 / span}
+        little = {"1/cmd": 0.1 / span, "1": 0.3}
         scale = [
             typical[p.unit] if p.unit in typical else max(0.1 * abs(v), little.get(p.unit, 1e-3) if v == 0 else 1e-3)
             for v, p in zip(values, parameters, strict=True)
@@ -171,12 +177,19 @@ class FreeCoreBaseline(Baseline):
             self.linear = np.array([p.unit in ("deg/cmd", "deg") for p in parameters])
         names = [p.name for p in parameters]
         self.effects = {
-            _EFFECTS_BY_ANOTHER_NAME[n]: {n: k} for k, n in enumerate(names) if n in _EFFECTS_BY_ANOTHER_NAME
+            effect: {n: k for k, n in enumerate(names) if _EFFECTS_BY_ANOTHER_NAME.get(n) == effect}
+            for effect in dict.fromkeys(_EFFECTS_BY_ANOTHER_NAME[n] for n in names if n in _EFFECTS_BY_ANOTHER_NAME)
         }
+        if "rest_speed" in names:
+            share, speed = names.index("rest_share"), names.index("rest_speed")
+            self.begin = {share: _REST_SHARE[0]}
+            self.upper[share] = _REST_SHARE[1]
+            self.lower[speed], self.upper[speed] = _REST_SPEED[0] * span, _REST_SPEED[2] * span
         self.width = names.index("alpha") if "alpha" in names else -1
         if isinstance(core, CurvedPlays):
             first = len(slopes) + 1
-            held = set(range(first if not free_widths else first + core.plays, values.size))
+            stop = values.size - len(core.speeds)
+            held = set(range(first if not free_widths else first + core.plays, stop))
             if one_friction and core.plays and core.radii[0] > 0:
                 held.discard(first)
                 self.lower[first], self.upper[first] = (factor * core.radii[0] for factor in _FRICTION)
@@ -254,7 +267,7 @@ class CurvedBaseline(Baseline):
         ends = np.concatenate([inner.lower, least]), np.concatenate([inner.upper, most])
         whole = [*inner.nominal, *values], ends, [*inner.scale, *scale]
         super().__init__(inner.chain, inner.command, *whole)
-        self.effects, self.held, self.width = inner.effects, inner.held, inner.width
+        self.effects, self.begin, self.held, self.width = inner.effects, inner.begin, inner.held, inner.width
         self.linear[: inner.nominal.size] = inner.linear
         if len(inner.roughness):
             self.roughness = np.hstack([inner.roughness, np.zeros((len(inner.roughness), values.size))])
@@ -313,6 +326,20 @@ def baseline_of(chain: Chain, command: Range) -> Baseline:
         core = FreeCoreBaseline(chain, command, one_friction=True)
     curves = _curves(core)
     return CurvedBaseline(core, curves) if curves else core
+
+
+def with_friction_at_rest(chain: Chain, command: Range) -> Chain:
+    """Same chain, whose plays can have another friction at rest: an effect, which retuning leaves at none."""
+    if not isinstance(chain.core, _OF_PLAYS) or chain.core.rate:
+        return chain
+    speed = _REST_SPEED[1] * (command.upper - command.lower)
+    return replace(chain, core=replace(chain.core, speeds=(0.0, speed)))
+
+
+def without_idle_friction(chain: Chain) -> Chain:
+    """Same chain without a friction at rest that is none."""
+    idle = isinstance(chain.core, _OF_PLAYS) and chain.core.speeds[:1] == (0.0,)
+    return replace(chain, core=replace(chain.core, speeds=())) if idle else chain  # type: ignore[type-var]
 
 
 def _curves(core: Baseline) -> dict[int, tuple[float, float, float]]:

@@ -184,6 +184,8 @@ class Problem:
 
     def start(self, z: Vec, effects: Sequence[Sequence[float]]) -> Vec:
         """Unknowns from baseline values z (Z,) and each effect's free parameters."""
+        begin = {k: v for k, v in self.baseline.begin.items() if z[k] == self.baseline.nominal[k]}
+        z = np.array([begin.get(k, v) for k, v in enumerate(z)])
         return self.scaled(np.array([*z[self._active], *(v for values in effects for v in values)], dtype=np.float64))
 
     @property

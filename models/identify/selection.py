@@ -177,6 +177,8 @@ class _Search:
         within = new == {"drift"} and "trial_shift" in before.hypothesis.effects
         if within and fall > settings.drift_errors * error:
             whole = 0.0  # shifts explain the differences between trials, which make its share of the whole error small
+        if clear and new == {"periodic_disturbance"}:
+            share = whole = 0.0  # no wrong form of another cause leaves a line that is not the motion's
         if new == {"trial_shift"} and "drift" in before.hypothesis.effects and self._on_a_line(after, before):
             return False
         if new & OF_SINGLE_TRIALS and not _recurs(before, after, new, settings):

@@ -29,7 +29,7 @@ from ..operators.operator import Operator
 from ..operators.slow_changes import Drift, FirstFlexure
 from ..simulator import ChainModel, Identification, Residual, Simulator
 from ..start import trial_start
-from .baseline import Baseline
+from .baseline import Baseline, without_idle_friction
 from .chain_fit import ChainFit, OperatorFitSettings, identify_chain
 from .cross_validation import Hypothesis
 from .estimation_noise import estimation_noise
@@ -184,7 +184,7 @@ def corrected_simulator(
         decades: units in which the simulator was fitted and the runs are; the trials are in those of the log.
         skip_first_flexure: whether the trials counted from their first reversal on only.
     """
-    chain = decades.log_chain(chosen.chain)
+    chain = decades.log_chain(without_idle_friction(chosen.chain))
     disturbance = _disturbance(chosen, runs[-1], runs[-1].dt_s, decades)
     if disturbance is not None:
         chain = replace(chain, after=(*chain.after, disturbance))

@@ -9,7 +9,18 @@ from typing import Annotated, ClassVar, Self, final
 
 import casadi as ca
 
-from .operator import Number, Operator, Parameter, Symbol, maximum, minimum, play
+from .operator import (
+    FRICTION_AT_REST,
+    Number,
+    Operator,
+    Parameter,
+    Symbol,
+    at_speed,
+    check_speeds,
+    maximum,
+    minimum,
+    play,
+)
 
 
 @dataclass(frozen=True)
@@ -196,6 +207,9 @@ class CurvedPlays(Operator):
     negative and those of z_0 are positive, so that the inverse exists. With equal slopes in each curve it is a
     Prandtl-Ishlinskii model with free radii.
 
+    Where friction at rest is another one (rate 1) r_i is multiplied by 1 + rest_share exp(-|v_k| / rest_speed), with
+    v_k = (u_k - u_k-1) / dt, as in a Prandtl-Ishlinskii model.
+
     A gradual play (turn 1) stops at a reversal and follows the new direction over a travel of some r_i, as in dry
     friction with presliding: u - z is the force of a Dahl element. Its width is that of the sharp one, and z never
     falls while u rises.
@@ -207,9 +221,11 @@ class CurvedPlays(Operator):
         low, high: ends of the pieces [cmd].
         pieces: number K of pieces of each curve.
         turn: 0 for sharp plays, 1 for gradual ones.
+        speeds: nothing, or (rest_share [1], rest_speed [cmd/s]); `rate` 1 in files.
 
     Raises:
-        ModelError: if a value is out of bounds, or the number of slopes is not (pieces + 1) times (plays + 1).
+        ModelError: if a value is out of bounds, `speeds` has another length, or the number of slopes is not
+            (pieces + 1) times (plays + 1).
 
     Source: additive operator of the Krasnosel'skii-Pokrovskii type, Krasnosel'skii, Pokrovskii, Systems with Hysteresis
     (1989), section 29. Curves: monotone splines of order 2, Ramsay, Monotone regression splines in action, Statistical
@@ -224,21 +240,31 @@ class CurvedPlays(Operator):
     high: float
     pieces: int
     turn: int = 0
+    speeds: tuple[float, ...] = ()
     name: ClassVar[str] = "curved_plays"
-    shape: ClassVar[tuple[str, ...]] = ("plays", "pieces", "turn")
-    default_sizes: ClassVar[Mapping[str, int]] = {"turn": 0}
-    size_limits: ClassVar[Mapping[str, tuple[int, int]]] = {"turn": (0, 1)}
+    shape: ClassVar[tuple[str, ...]] = ("plays", "pieces", "turn", "rate")
+    default_sizes: ClassVar[Mapping[str, int]] = {"turn": 0, "rate": 0}
+    size_limits: ClassVar[Mapping[str, tuple[int, int]]] = {"turn": (0, 1), "rate": (0, 1)}
+
+    def check_sizes(self) -> None:
+        check_speeds(self.name, self.speeds)
 
     @classmethod
     def template(cls, **structure: int) -> Self:
         plays, pieces = structure["plays"], structure["pieces"]
         slopes = (1.0,) * ((pieces + 1) * (plays + 1))
-        return cls(slopes, 0.0, (0.0,) * plays, 0.0, 1.0, pieces, structure.get("turn", 0))
+        turn, speeds = structure.get("turn", 0), (0.0, 1.0) if structure.get("rate") else ()
+        return cls(slopes, 0.0, (0.0,) * plays, 0.0, 1.0, pieces, turn, speeds)
 
     @property
     def plays(self) -> int:
         """Number n of plays."""
         return len(self.radii)
+
+    @property
+    def rate(self) -> int:
+        """Flag: 1 where friction at rest is another one, else 0."""
+        return int(bool(self.speeds))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -252,21 +278,30 @@ class CurvedPlays(Operator):
             *(Parameter(f"r{i}", "cmd", 0.0, 1e4, f"half-width of play {i}") for i in range(1, self.plays + 1)),
             Parameter("low", "cmd", -1e4, 1e4, "lower end of the pieces"),
             Parameter("high", "cmd", -1e4, 1e4, "upper end of the pieces"),
+            *(FRICTION_AT_REST if self.rate else ()),
         )
 
     @property
     def states(self) -> tuple[str, ...]:
         plays = tuple(f"z{i}" for i in range(1, self.plays + 1))
-        return (*plays, "u") if self.turn else plays
+        return (*plays, "u") if self.turn or self.rate else plays
+
+    @property
+    def settling_samples(self) -> int:
+        """Two samples where the first one of a hold may resemble a fast motion."""
+        return 1 + self.rate
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
-        del dt
         radii = self._radii(p)
+        if self.rate:
+            places = len(self.parameters)
+            factor = at_speed(ca.fabs(u - x[self.plays]) / dt, p[places - 2], p[places - 1])
+            radii = [factor * radius for radius in radii]
         if self.turn:
             z = [_gradual_play(u, x[self.plays], x[i], radius) for i, radius in enumerate(radii)]
-            return ca.vertcat(*z, u), self._angle([u, *z], p)
-        z = [play(u, x[i], radius) for i, radius in enumerate(radii)]
-        return ca.vertcat(*z), self._angle([u, *z], p)
+        else:
+            z = [play(u, x[i], radius) for i, radius in enumerate(radii)]
+        return ca.vertcat(*z, *([u] if len(self.states) > self.plays else [])), self._angle([u, *z], p)
 
     def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
         # All plays at one share of their half-widths, linear in y; the mean slope of each curve stands for the curve.
@@ -277,7 +312,7 @@ class CurvedPlays(Operator):
         half = sum(mean * r for mean, r in zip(means, radii, strict=True))
         share = (y - self._angle([u] * (self.plays + 1), p)) / (half + little)
         z = [u + share * r for r in radii]
-        return ca.vertcat(*z, u) if self.turn else ca.vertcat(*z)
+        return ca.vertcat(*z, *([u] if len(self.states) > self.plays else []))
 
     def _radii(self, p: Symbol) -> list[Symbol]:
         first = (self.pieces + 1) * (self.plays + 1) + 1

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
 from typing import ClassVar, Self, final
 
 import casadi as ca
 
-from .operator import Operator, Parameter, Symbol, play
+from hystmpc.trials.errors import ModelError
+
+from .operator import FRICTION_AT_REST, Operator, Parameter, Symbol, at_speed, check_speeds, play
 from .static_curves import Pieces, band_parameters, check_bands, pieces_of
 
 _LITTLE = 1e-9  # share of a divisor that avoids a division by zero
@@ -66,16 +69,45 @@ class PlaySum(Operator):
 class PrandtlIshlinskii(PlaySum):
     """Weighted sum of n plays whose thresholds grow with the speed of the command.
 
-    r_i(t) = alpha i + beta |u'(t)|,  z_i,k = max(u_k - r_i, min(u_k + r_i, z_i,k-1)),  i = 1..n
+    r_i(t) = alpha i (1 + rest_share exp(-|u'(t)| / rest_speed)) + beta |u'(t)|
+    z_i,k  = max(u_k - r_i, min(u_k + r_i, z_i,k-1)),  i = 1..n
     theta  = a0 u + sum_i a_i z_i + b
 
     The speed is (u_k - u_{k-1}) / dt, so that parameters do not depend on the sample rate. Weights are not negative:
     the loops are then monotone and the inverse exists.
 
-    Source: S2 (RA-L 2024) eq. (4)-(5), after Al Janaideh, Rakheja and Su, Mechatronics 19 (2009).
+    Attributes:
+        speeds: nothing, or (rest_share [1], rest_speed [cmd/s]) of friction that is greater at rest; `rate` 1 in files.
+
+    Raises:
+        ModelError: on another number of these, or a value out of bounds.
+
+    Source: S2 (RA-L 2024) eq. (4)-(5), after Al Janaideh, Rakheja and Su, Mechatronics 19 (2009); of the friction at
+    rest as that of `MaxwellSlip`.
     """
 
+    speeds: tuple[float, ...] = ()
     name: ClassVar[str] = "prandtl_ishlinskii"
+    shape: ClassVar[tuple[str, ...]] = ("plays", "rate")
+    default_sizes: ClassVar[Mapping[str, int]] = {"rate": 0}
+    size_limits: ClassVar[Mapping[str, tuple[int, int]]] = {"rate": (0, 1)}
+
+    def check_sizes(self) -> None:
+        check_speeds(self.name, self.speeds)
+
+    @classmethod
+    def template(cls, **structure: int) -> Self:
+        plain = super().template(**structure)
+        return replace(plain, speeds=(0.0, 1.0)) if structure.get("rate") else plain
+
+    @property
+    def rate(self) -> int:
+        """Flag: 1 where friction at rest is another one, else 0."""
+        return int(bool(self.speeds))
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (*super().parameters, *(FRICTION_AT_REST if self.rate else ()))
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -85,6 +117,8 @@ class PrandtlIshlinskii(PlaySum):
         n = self.plays
         alpha, beta, b = p[n + 1], p[n + 2], p[n + 3]
         speed = ca.fabs(u - x[0]) / dt
+        if self.rate:
+            alpha = alpha * at_speed(speed, p[n + 4], p[n + 5])
         z = [play(u, x[i], alpha * i + beta * speed) for i in range(1, n + 1)]
         theta = p[0] * u + sum(p[i] * z[i - 1] for i in range(1, n + 1)) + b
         return ca.vertcat(u, *z), theta
@@ -97,7 +131,13 @@ class PrandtlIshlinskii(PlaySum):
         return ca.vertcat(u, *([wanted / (weight + _LITTLE * (weight + p[0]))] * self.plays))
 
     def inverse(self) -> InversePrandtlIshlinskii:
-        """Analytic inverse from angle to command."""
+        """Analytic inverse from angle to command.
+
+        Raises:
+            ModelError: where friction at rest is another one.
+        """
+        if self.rate:
+            raise ModelError(f"{self.name}: no analytic inverse where friction at rest is another one")
         return InversePrandtlIshlinskii(*self.numbers)
 
 

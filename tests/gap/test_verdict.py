@@ -74,6 +74,10 @@ WEAK = FinalFacts(closed_share=0.5, residual_ratio=3.0)
         (replace(NOTHING, sensor=True), "sensor_alone", "named"),
         (replace(NOTHING, sensor=True, form_mse=0.5), "no_gap", "none"),
         (replace(EXPLAINED, sensor=True, sensor_gap=True, form_mse=0.5), "sensor_alone", "named"),
+        # what the sensor's fault explains by itself is no gap of the simulator
+        (replace(EXPLAINED, sensor=True, sensor_gap=True, excess_mse=0.99), "sensor_alone", "named"),
+        (replace(EXPLAINED, sensor=True, sensor_gap=True, excess_mse=0.97), "explained", "named"),
+        (replace(EXPLAINED, sensor_gap=True, excess_mse=0.99), "explained", "named"),
         (replace(EXPLAINED, sensor_gap=True, form_mse=0.5), "no_gap", "none"),  # the library goes without the sensor
         (replace(EXPLAINED, sensor=True, sensor_gap=True), "explained", "named"),
         (replace(OPEN, sensor=True, final=FinalFacts(0.4, 5.0)), "sensor_beside_unknown", "named"),

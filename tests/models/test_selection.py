@@ -70,6 +70,13 @@ def test_a_clear_third_cause_may_be_a_small_part_of_what_is_left() -> None:
     assert chosen(uneven=0.3, **errors) == {"delay", "creep"}
 
 
+def test_a_clear_line_beside_large_causes_needs_no_share_of_the_whole_gap() -> None:
+    errors = {"nothing": 20.0, "lag": 0.9}
+    assert chosen(**errors, lag__periodic_disturbance=0.8) == {"lag", "periodic_disturbance"}
+    assert chosen(**errors, lag__contact=0.8) == {"lag"}
+    assert chosen(uneven=0.2, **errors, lag__periodic_disturbance=0.8) == {"lag"}
+
+
 @given(st.floats(0.02, 0.6), st.sampled_from(["asymmetry", "nonlinear_gain"]))
 def test_beside_another_cause_a_generic_one_has_to_explain_most_of_what_is_left(left: float, name: str) -> None:
     found = chosen(nothing=3.0, lag=0.6, **{f"lag__{name}": left})
