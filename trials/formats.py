@@ -79,6 +79,7 @@ _FOREIGN = (
     (b"\x80\x05\x95", "Python pickle", "pickles can run code and are not read; write CSV or numpy.savez"),
 )
 
+_YAML = (".yaml", ".yml")
 _JSON = re.compile(r'\s*(\{\s*(["}]|\Z)|\[\s*([\[{"\d\]-]|\Z))')
 _MARKUP = re.compile(r"\s*<(\?xml|!doctype|html|[a-z][\w:.-]*[\s/>])", re.IGNORECASE)
 
@@ -152,6 +153,8 @@ def read_lines(path: Path | str) -> list[str]:
     """
     data = read_bytes(path)
     require_known(path, data)
+    if Path(path).suffix.lower() in _YAML:
+        raise LogError(f"{path}: YAML, which is not read; expected a log, a simulator as --sim, a mapping as --layout")
     text = _decoded(path, data)
     if not text.strip():
         raise LogError(f"{path}: empty file, expected a header row and at least two rows of numbers")

@@ -427,7 +427,9 @@ def _converted(rows: Sequence[Row], width: int, comma_likely: bool) -> list[Conv
 
 
 def _fast(lines: Sequence[str], delimiter: str, width: int) -> Vec | None:
-    """Fast conversion of all cells to numbers (T, width); None if a cell needs separate conversion."""
+    """Fast conversion of all cells to numbers (T, width); None without any, or if a cell needs separate conversion."""
+    if not any(lines):
+        return None
     if delimiter != BLANK and {line.count(delimiter) for line in lines if line} != {width - 1}:
         return None
     if delimiter != "," and any("," in line for line in lines):

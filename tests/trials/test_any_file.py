@@ -199,6 +199,7 @@ FOREIGN = {
     "log.pkl": (b"\x80\x04\x95" + bytes(40), "pickle"),
     "log.feather": (b"ARROW1\x00\x00" + bytes(40), "Feather"),
     "log.csv": (b"\x89PNG\r\n\x1a\n" + bytes(40), "image"),
+    "simulator.yaml": (b"simulator: {python: tip:Tip}\n", "YAML"),
 }
 
 
@@ -211,6 +212,12 @@ def test_a_format_that_is_not_read_is_named_with_what_to_do(name: str, tmp_path:
     assert called in refusal
     assert any(word in refusal for word in ("CSV", "convert", "unpack", "save", "numpy", "expected"))
     assert "which is not read" in refusal
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_header_without_rows_is_refused_and_nothing_else_is_said(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("time_s,command,angle_deg\n")
+    assert "header only" in answered(tmp_path / "log.csv")
 
 
 def test_a_pipe_is_read_once(tmp_path: Path) -> None:
