@@ -167,7 +167,7 @@ def test_capstan_tension_stays_within_the_friction_cone(dry: float) -> None:
     shares = weights + 0.06 / nodes
     x = 2.5 * (1 - np.cos(np.linspace(0, 20, 3000)))
     drag = np.concatenate([[0.0], np.full(nodes - 1, dry)])
-    cores.capstan(x, np.full(x.size, wrap), 0.0, tension, (shares, weights, drag), rest, out)
+    cores.capstan(x, wrap, np.ones(x.size), 0.0, tension, (shares, weights, drag), rest, out)
     cone = np.exp(wrap * np.arange(nodes) / (nodes - 1))
     assert np.all(tension <= tension[0] * cone + drag + 1e-6)
     assert np.all(tension >= tension[0] / cone - drag - 1e-6)
