@@ -217,8 +217,8 @@ HYSTMPC_LOCAL void hystmpc_propose_plan(const hystmpc_problem *p, hystmpc_head *
     }
     /* At rest most steps hold, and look no further. */
     const int first = resting && count > HYSTMPC_FOLLOWING ? HYSTMPC_FOLLOWING : count;
-    /* After a while at rest moves are not those of the reference, but of the estimate's noise. */
-    const int of_noise = resting && head->constant > p->law->hold->patience && g->sigma > R(0.0);
+    /* At rest moves are not those of the reference, but of the estimate's noise. */
+    const int of_noise = resting && g->sigma > R(0.0);
     const real rate_weight = by_closeness(p->law->rate_weight, p->law->close_rate_weight, of_noise ? R(0.0) : g->close);
     const hystmpc_task task = {wanted, q.plans + HYSTMPC_INVERTED * h, g->u_last, rate_weight,
                                p->law->angle_low - g->disturbance, p->law->angle_high - g->disturbance, NULL};

@@ -31,8 +31,8 @@ class WeightsSettings(Settings):
         rate: squared command change per sample [1/mm^2 or 1/bar^2].
         rate_close: the same where the model is as close to the device as its file says, and without a sensor; `rate`
             where that alone is given. In between their logarithms are weighted by the probability of that, see
-            `NoiseBank`. A noisy estimate at a reference that has rested for `patience_s` has `rate`: moves would be
-            those of the noise, many times greater behind a lag.
+            `NoiseBank`. A noisy estimate at a reference that rests has `rate`: moves would be those of the noise,
+            many times greater behind a lag.
         effort: squared distance from the inverse plan [1/mm^2 or 1/bar^2].
         soft_limit: squared excess over the soft angle limits [1/deg^2].
         angle_lower_deg, angle_upper_deg: soft limits of the angle [deg]; null for none.

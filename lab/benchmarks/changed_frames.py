@@ -3,9 +3,9 @@
     python lab/benchmarks/changed_frames.py FOLDER --seed 9101 --devices 60 [--rate-hz 5] [--each 2] [--gains 20]
 
 FOLDER is that of `hystmpc study identify` with the same seed, number of devices and families: the models identified
-there control devices that have changed since then. Frames come 0.2 s late, with noise of 0.5 deg. The default MPC with
-frames is compared with that without a sensor and with a PID whose gains are searched on the same changed device. The
-motion is point to point; errors are those of the true angle, from 60 s of motion on [deg].
+there control devices that have changed since then, and may rest at another angle. Frames come 0.2 s late, with noise of
+0.5 deg. The default MPC with frames is compared with that without a sensor and with a PID whose gains are searched on
+the same changed device. The motion is point to point; errors are those of the true angle, from 60 s of motion on [deg].
 """
 
 from __future__ import annotations
@@ -58,6 +58,7 @@ def errors(
 
     def rmse(law: LawSettings, sensor: ImagingSettings | NoSensorSettings, plant: DrawnPlant = plant) -> float:
         keys = {k: v for k, v in sensor.estimator_keys().items() if k in type(law.estimator).model_fields}
+        keys["rest_tolerance_deg"] = 360.0
         law = type(law).parse({**law.model_dump(exclude_unset=True), "estimator": keys}, change)
         run = run_closed_loop(controller_on(law, model, device.limits), plant, motion.trajectory, sensor=sensor)
         return float(np.sqrt(np.mean(run.error_deg[motion.first(run.dt) + round(AFTER_S / run.dt) :] ** 2)))
