@@ -57,8 +57,8 @@ def errors(
     motion, blind = motion_of(device, plant), NoSensorSettings()
 
     def rmse(law: LawSettings, sensor: ImagingSettings | NoSensorSettings, plant: DrawnPlant = plant) -> float:
-        keys = {k: v for k, v in sensor.estimator_keys().items() if k in type(law.estimator).model_fields}
-        keys["rest_tolerance_deg"] = 360.0
+        known = {**sensor.estimator_keys(), "rest_tolerance_deg": 360.0}
+        keys = {key: value for key, value in known.items() if key in type(law.estimator).model_fields}
         law = type(law).parse({**law.model_dump(exclude_unset=True), "estimator": keys}, change)
         run = run_closed_loop(controller_on(law, model, device.limits), plant, motion.trajectory, sensor=sensor)
         return float(np.sqrt(np.mean(run.error_deg[motion.first(run.dt) + round(AFTER_S / run.dt) :] ** 2)))
