@@ -91,20 +91,20 @@ LINES = (
     Line("lag", ("lag",), (_LAG,), ((0.11,), (0.06,))),
     Line("friction rises with speed", ("rate_dependence",), (_RISING,), ((1.0,), (0.5,))),
     Line("Stribeck", ("stick_slip",), (_STRIBECK,), ((2.0,), (1.0,))),
-    Line("Stribeck, delay", ("delay", "stick_slip"), (_STRIBECK, _DELAY), ((2.0, 0.11), (1.0, 0.06))),
+    Line("Stribeck + delay", ("delay", "stick_slip"), (_STRIBECK, _DELAY), ((2.0, 0.11), (1.0, 0.06))),
     Line("set", ("first_flexure",), (_SET,), ((0.2,), (0.1,))),
-    Line("set, order unknown", ("first_flexure",), (_SET,), ((0.2,), (0.1,)), ordered=False),
+    Line("set without the order", ("first_flexure",), (_SET,), ((0.2,), (0.1,)), ordered=False),
     Line("friction one way", ("asymmetry",), (("one_way", {}),), ((1.2,), (0.6,))),
     Line("quantised", ("sensor",), (("dithered_quantiser", {"dither": 0.0}),), ((2.0,), (1.0,))),
-    Line("softening, delay", ("delay", "drift"), (_DELAY, _SOFTER), ((0.11, 2.0), (0.08, 1.0))),
+    Line("softening + delay", ("delay", "drift"), (_DELAY, _SOFTER), ((0.11, 2.0), (0.08, 1.0))),
     Line(
-        "creep, lag, beat",
+        "creep + lag + beat",
         ("creep", "lag", "periodic_disturbance"),
         ((_CREEP, {"onset_s": 0.5}), _LAG, _BEAT),
         ((0.08, 0.15, 2.0), (0.04, 0.1, 1.0)),
     ),
     Line(
-        "slack, delay, beat, softening",
+        "slack + delay + beat + softening",
         ("delay", "drift", "periodic_disturbance", "slack"),
         (("fibre_toe", {}), _DELAY, _BEAT, _SOFTER),
         ((0.8, 0.12, 2.0, 2.0), (0.5, 0.08, 1.5, 1.0)),
@@ -200,7 +200,7 @@ def missed_lines(seed: int, names: Sequence[str] = (), progress: Progress = no_p
     return found
 
 
-COLUMNS = ("cause", "size", "truth", "verdict", "said", "given, deg", "retuned", "with effects", "floor", "right")
+COLUMNS = ("cause", "said", "given, deg", "retuned", "with effects", "right")
 
 
 def row(said: Said) -> list[str]:
@@ -208,7 +208,7 @@ def row(said: Said) -> list[str]:
     found, gap = said.diagnosis, said.diagnosis.gap
     names = [f"{effect.name} {effect.probability:.2f}" for effect in found.effects]
     names += [" or ".join(names) for names in found.ambiguity]
-    sizes = [gap.nominal_rmse_deg, gap.retuned_rmse_deg, gap.with_effects_rmse_deg, gap.floor_rmse_deg]
+    sizes = [gap.nominal_rmse_deg, gap.retuned_rmse_deg, gap.with_effects_rmse_deg]
     mark = "yes" if said.exact else "WRONG" if said.wrong else "no"
-    what = said.line.name, str(said.line.sizes[said.size]), ", ".join(said.line.truth) or "-"
-    return [*what, found.verdict, ", ".join(names) or "-", *(f"{size:.2f}" for size in sizes), mark]
+    cause = " ".join((said.line.name, *map(str, said.line.sizes[said.size])))
+    return [cause, ", ".join(names) or found.verdict, *(f"{size:.2f}" for size in sizes), mark]
