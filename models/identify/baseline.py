@@ -22,9 +22,10 @@ from ..operators.static_curves import Line, NonlinearGain
 from .free_run import StagedChain
 
 # Parameters of cores that are effects by another name: retuning leaves them at their nominal values.
-_EFFECTS_BY_ANOTHER_NAME = {"beta": "rate_dependence", "rest_share": "stick_slip", "rest_speed": "stick_slip"}
-_REST_SHARE = (1.0, 4.0)  # first tried, since at none the speed makes no difference; greatest
-_REST_SPEED = (0.01, 0.2, 10.0)  # spans a second: least, first tried and greatest speed at which friction falls
+_EFFECTS_BY_ANOTHER_NAME = {"beta": "rate_dependence"}
+_OF_PLAYS_TOO = {"stribeck": "stick_slip", "stribeck_speed": "stick_slip"}
+_STRIBECK = (1.0, 4.0)  # first tried, since at none the speed makes no difference; greatest
+_STRIBECK_SPEED = (0.01, 0.2, 10.0)  # spans a second: least, first tried and greatest speed at which friction falls
 _OF_PLAYS = (PrandtlIshlinskii, CurvedPlays)
 _LINEAR_IN_WEIGHTS = (Line, *_OF_PLAYS)
 _CURVES = {"quadratic": (1, 0.05), "cubic": (2, 0.1)}  # power of the span, usual change
@@ -176,15 +177,16 @@ class FreeCoreBaseline(Baseline):
         if isinstance(core, _LINEAR_IN_WEIGHTS):
             self.linear = np.array([p.unit in ("deg/cmd", "deg") for p in parameters])
         names = [p.name for p in parameters]
+        effects = _EFFECTS_BY_ANOTHER_NAME | (_OF_PLAYS_TOO if isinstance(core, _OF_PLAYS) else {})
         self.effects = {
-            effect: {n: k for k, n in enumerate(names) if _EFFECTS_BY_ANOTHER_NAME.get(n) == effect}
-            for effect in dict.fromkeys(_EFFECTS_BY_ANOTHER_NAME[n] for n in names if n in _EFFECTS_BY_ANOTHER_NAME)
+            effect: {n: k for k, n in enumerate(names) if effects.get(n) == effect}
+            for effect in dict.fromkeys(effects[n] for n in names if n in effects)
         }
-        if "rest_speed" in names:
-            share, speed = names.index("rest_share"), names.index("rest_speed")
-            self.begin = {share: _REST_SHARE[0]}
-            self.upper[share] = _REST_SHARE[1]
-            self.lower[speed], self.upper[speed] = _REST_SPEED[0] * span, _REST_SPEED[2] * span
+        if "stick_slip" in self.effects:
+            share, speed = self.effects["stick_slip"].values()
+            self.begin = {share: _STRIBECK[0]}
+            self.upper[share] = _STRIBECK[1]
+            self.lower[speed], self.upper[speed] = _STRIBECK_SPEED[0] * span, _STRIBECK_SPEED[2] * span
         self.width = names.index("alpha") if "alpha" in names else -1
         if isinstance(core, CurvedPlays):
             first = len(slopes) + 1
@@ -332,7 +334,7 @@ def with_friction_at_rest(chain: Chain, command: Range) -> Chain:
     """Same chain, whose plays can have another friction at rest: an effect, which retuning leaves at none."""
     if not isinstance(chain.core, _OF_PLAYS) or chain.core.rate:
         return chain
-    speed = _REST_SPEED[1] * (command.upper - command.lower)
+    speed = _STRIBECK_SPEED[1] * (command.upper - command.lower)
     return replace(chain, core=replace(chain.core, speeds=(0.0, speed)))
 
 

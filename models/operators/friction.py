@@ -8,9 +8,18 @@ from typing import Annotated, ClassVar, Self, final
 
 import casadi as ca
 
-from hystmpc.trials.errors import ModelError
-
-from .operator import Number, Operator, Parameter, Symbol, maximum, minimum, play
+from .operator import (
+    STRIBECK,
+    Number,
+    Operator,
+    Parameter,
+    Symbol,
+    check_speeds,
+    maximum,
+    minimum,
+    play,
+    stribeck_factor,
+)
 
 
 @final
@@ -53,8 +62,7 @@ class MaxwellSlip(Operator):
     size_limits: ClassVar[Mapping[str, tuple[int, int]]] = {"rate": (0, 1)}
 
     def check_sizes(self) -> None:
-        if len(self.speeds) not in (0, len(_NO_RATE)):
-            raise ModelError(f"maxwell_slip: {len(self.speeds)} numbers of the speed, expected none or {len(_NO_RATE)}")
+        check_speeds(self.name, self.speeds, len(_NO_RATE))
 
     @classmethod
     def template(cls, **structure: int) -> Self:
@@ -79,11 +87,7 @@ class MaxwellSlip(Operator):
             Parameter("growth", "1/cmd", -1e3, 1e3, "growth of the friction with the displacement"),
             Parameter("b", "deg", -1e6, 1e6, "force at displacement 0"),
         )
-        fast = (
-            Parameter("viscous", "deg s/cmd", 0.0, 1e3, "viscous friction"),
-            Parameter("stribeck", "1", 0.0, 10.0, "share by which friction at rest exceeds that of a fast motion"),
-            Parameter("stribeck_speed", "cmd/s", 1e-3, 1e4, "speed at which 1/e of that is left"),
-        )
+        fast = (Parameter("viscous", "deg s/cmd", 0.0, 1e3, "viscous friction"), *STRIBECK)
         return (*slow, *fast) if self.rate else slow
 
     @property
@@ -101,7 +105,7 @@ class MaxwellSlip(Operator):
         parallel = p[0] * u + b
         if self.rate:
             v = (u - x[n]) / dt
-            spacing = spacing * (1 + p[n + 5] * ca.exp(-ca.fabs(v) / p[n + 6]))
+            spacing = spacing * stribeck_factor(ca.fabs(v), p[n + 5], p[n + 6])
             parallel = parallel + p[n + 4] * v
         z = [play(u, x[i - 1], spacing * i) for i in range(1, n + 1)]
         sliders = sum(p[i] * (u - z[i - 1]) for i in range(1, n + 1))

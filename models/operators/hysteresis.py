@@ -10,16 +10,16 @@ from typing import Annotated, ClassVar, Self, final
 import casadi as ca
 
 from .operator import (
-    FRICTION_AT_REST,
+    STRIBECK,
     Number,
     Operator,
     Parameter,
     Symbol,
-    at_speed,
     check_speeds,
     maximum,
     minimum,
     play,
+    stribeck_factor,
 )
 
 
@@ -207,7 +207,7 @@ class CurvedPlays(Operator):
     negative and those of z_0 are positive, so that the inverse exists. With equal slopes in each curve it is a
     Prandtl-Ishlinskii model with free radii.
 
-    Where friction at rest is another one (rate 1) r_i is multiplied by 1 + rest_share exp(-|v_k| / rest_speed), with
+    Where friction at rest is another one (rate 1) r_i is multiplied by 1 + stribeck exp(-|v_k| / stribeck_speed), with
     v_k = (u_k - u_k-1) / dt, as in a Prandtl-Ishlinskii model.
 
     A gradual play (turn 1) stops at a reversal and follows the new direction over a travel of some r_i, as in dry
@@ -221,7 +221,7 @@ class CurvedPlays(Operator):
         low, high: ends of the pieces [cmd].
         pieces: number K of pieces of each curve.
         turn: 0 for sharp plays, 1 for gradual ones.
-        speeds: nothing, or (rest_share [1], rest_speed [cmd/s]); `rate` 1 in files.
+        speeds: nothing, or (stribeck [1], stribeck_speed [cmd/s]); `rate` 1 in files.
 
     Raises:
         ModelError: if a value is out of bounds, `speeds` has another length, or the number of slopes is not
@@ -278,7 +278,7 @@ class CurvedPlays(Operator):
             *(Parameter(f"r{i}", "cmd", 0.0, 1e4, f"half-width of play {i}") for i in range(1, self.plays + 1)),
             Parameter("low", "cmd", -1e4, 1e4, "lower end of the pieces"),
             Parameter("high", "cmd", -1e4, 1e4, "upper end of the pieces"),
-            *(FRICTION_AT_REST if self.rate else ()),
+            *(STRIBECK if self.rate else ()),
         )
 
     @property
@@ -295,7 +295,7 @@ class CurvedPlays(Operator):
         radii = self._radii(p)
         if self.rate:
             places = len(self.parameters)
-            factor = at_speed(ca.fabs(u - x[self.plays]) / dt, p[places - 2], p[places - 1])
+            factor = stribeck_factor(ca.fabs(u - x[self.plays]) / dt, p[places - 2], p[places - 1])
             radii = [factor * radius for radius in radii]
         if self.turn:
             z = [_gradual_play(u, x[self.plays], x[i], radius) for i, radius in enumerate(radii)]

@@ -237,23 +237,23 @@ def shipped_operators() -> Mapping[str, type[Operator]]:
     return MappingProxyType({kind.name: kind for kind in kinds})
 
 
-FRICTION_AT_REST = (
-    Parameter("rest_share", "1", 0.0, 10.0, "share by which friction at rest exceeds that of a fast motion"),
-    Parameter("rest_speed", "cmd/s", 1e-3, 1e4, "speed at which 1/e of that is left"),
+STRIBECK = (
+    Parameter("stribeck", "1", 0.0, 10.0, "share by which friction at rest exceeds that of a fast motion"),
+    Parameter("stribeck_speed", "cmd/s", 1e-3, 1e4, "speed at which 1/e of that is left"),
 )
-"""Parameters of friction that is greater at rest, see `at_speed`."""
+"""Parameters of friction that is greater at rest, see `stribeck_factor`."""
 
 
-def at_speed(speed: Symbol, share: Symbol, fades: Symbol) -> Symbol:
-    """Factor of the widths of all plays at a speed: 1 + share exp(-speed / fades)."""
-    return 1 + share * ca.exp(-speed / fades)
+def stribeck_factor(speed: Symbol, stribeck: Symbol, stribeck_speed: Symbol) -> Symbol:
+    """Factor of the widths of all plays at a speed: 1 + stribeck exp(-speed / stribeck_speed)."""
+    return 1 + stribeck * ca.exp(-speed / stribeck_speed)
 
 
-def check_speeds(name: str, speeds: Sequence[float]) -> None:
-    """Check that there are values for `FRICTION_AT_REST`, or none.
+def check_speeds(name: str, speeds: Sequence[float], count: int = len(STRIBECK)) -> None:
+    """Check that there are so many values of a friction that depends on the speed, or none.
 
     Raises:
         ModelError: on another number of them.
     """
-    if len(speeds) not in (0, len(FRICTION_AT_REST)):
-        raise ModelError(f"{name}: {len(speeds)} numbers of the speed, expected none or {len(FRICTION_AT_REST)}")
+    if len(speeds) not in (0, count):
+        raise ModelError(f"{name}: {len(speeds)} numbers of the speed, expected none or {count}")

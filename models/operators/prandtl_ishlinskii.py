@@ -10,7 +10,7 @@ import casadi as ca
 
 from hystmpc.trials.errors import ModelError
 
-from .operator import FRICTION_AT_REST, Operator, Parameter, Symbol, at_speed, check_speeds, play
+from .operator import STRIBECK, Operator, Parameter, Symbol, check_speeds, play, stribeck_factor
 from .static_curves import Pieces, band_parameters, check_bands, pieces_of
 
 _LITTLE = 1e-9  # share of a divisor that avoids a division by zero
@@ -69,7 +69,7 @@ class PlaySum(Operator):
 class PrandtlIshlinskii(PlaySum):
     """Weighted sum of n plays whose thresholds grow with the speed of the command.
 
-    r_i(t) = alpha i (1 + rest_share exp(-|u'(t)| / rest_speed)) + beta |u'(t)|
+    r_i(t) = alpha i (1 + stribeck exp(-|u'(t)| / stribeck_speed)) + beta |u'(t)|
     z_i,k  = max(u_k - r_i, min(u_k + r_i, z_i,k-1)),  i = 1..n
     theta  = a0 u + sum_i a_i z_i + b
 
@@ -77,7 +77,8 @@ class PrandtlIshlinskii(PlaySum):
     the loops are then monotone and the inverse exists.
 
     Attributes:
-        speeds: nothing, or (rest_share [1], rest_speed [cmd/s]) of friction that is greater at rest; `rate` 1 in files.
+        speeds: nothing, or (stribeck [1], stribeck_speed [cmd/s]) of friction that is greater at rest; `rate` 1 in
+            files.
 
     Raises:
         ModelError: on another number of these, or a value out of bounds.
@@ -107,7 +108,7 @@ class PrandtlIshlinskii(PlaySum):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        return (*super().parameters, *(FRICTION_AT_REST if self.rate else ()))
+        return (*super().parameters, *(STRIBECK if self.rate else ()))
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -118,7 +119,7 @@ class PrandtlIshlinskii(PlaySum):
         alpha, beta, b = p[n + 1], p[n + 2], p[n + 3]
         speed = ca.fabs(u - x[0]) / dt
         if self.rate:
-            alpha = alpha * at_speed(speed, p[n + 4], p[n + 5])
+            alpha = alpha * stribeck_factor(speed, p[n + 4], p[n + 5])
         z = [play(u, x[i], alpha * i + beta * speed) for i in range(1, n + 1)]
         theta = p[0] * u + sum(p[i] * z[i - 1] for i in range(1, n + 1)) + b
         return ca.vertcat(u, *z), theta

@@ -37,12 +37,12 @@ def wider(core: PrandtlIshlinskii | CurvedPlays, factor: float) -> PrandtlIshlin
 
 
 @pytest.mark.parametrize("core", [STATIC_PI, CURVED, GRADUAL], ids=["pi", "curved", "gradual"])
-@pytest.mark.parametrize(("rest_speed", "factor"), [(1e3, 2.5), (0.01, 1.0)])
+@pytest.mark.parametrize(("stribeck_speed", "factor"), [(1e3, 2.5), (0.01, 1.0)])
 def test_thresholds_grow_in_proportion_at_rest_and_not_in_a_fast_motion(
-    core: PrandtlIshlinskii | CurvedPlays, rest_speed: float, factor: float
+    core: PrandtlIshlinskii | CurvedPlays, stribeck_speed: float, factor: float
 ) -> None:
     command = np.concatenate([np.arange(0.0, 5.5, DT), np.arange(5.5, 0.0, -DT)])
-    found = run_operator(replace(core, speeds=(1.5, rest_speed)), command)
+    found = run_operator(replace(core, speeds=(1.5, stribeck_speed)), command)
     scaled = run_operator(wider(core, factor), command)
     back = slice(-command.size // 3, None)  # behind the turn, where every play is carried along
     np.testing.assert_allclose(found[back], scaled[back], atol=0.02)
@@ -79,8 +79,8 @@ def test_without_a_jump_it_is_named_with_its_numbers(core: Operator, plain: Oper
     (effect,) = found.effects
     assert findings.attribution.facts.width_grown == pytest.approx(1.0, rel=0.1)  # of a motion that is not at rest
     assert (found.verdict, effect.name) == ("named", "stick_slip")
-    assert effect.parameters["rest_share"] == pytest.approx(3.0, rel=0.15)
-    assert effect.parameters["rest_speed"] == pytest.approx(1.0, rel=0.15)
+    assert effect.parameters["stribeck"] == pytest.approx(3.0, rel=0.15)
+    assert effect.parameters["stribeck_speed"] == pytest.approx(1.0, rel=0.15)
     assert found.gap.with_effects_rmse_deg == pytest.approx(0.05, rel=0.3)
 
 
