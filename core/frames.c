@@ -108,23 +108,28 @@ HYSTMPC_LOCAL int hystmpc_frames_correct_late(const hystmpc_sensing *s, const hy
     return 1;
 }
 
-/* The learned part of all instants behind the oldest one, from the present weights. The disturbance takes up what the
- * angle of an instant gains, so that what was measured there is explained as before. */
+/* The learned part of all instants from the present weights, and their estimates anew from the oldest one: what is known
+ * of later ones follows from their commands and frames as if these weights had always been known. The disturbance of
+ * the oldest takes up what its angle gains, so that what was measured there is explained as before. */
 static void frames_renew(const hystmpc_sensing *s, const hystmpc_model *m, const hystmpc_extent *n, hystmpc_observed *o,
                          real *work) {
     const hystmpc_learning *l = &o->learning;
     const int known = frames_known(s, o), numbers = hystmpc_numbers_past(m->learner);
     real *past = work, *added = work + numbers;
     memcpy(past, l->behind, sizeof(real) * (size_t)numbers);
-    for (int k = 1; k <= known; k++) {
+    for (int k = 0; k <= known; k++) {
         hystmpc_estimate e = hystmpc_estimate_at(n, frames_block(s, n, o, k));
-        if (k > 1) hystmpc_learning_advance(m->learner, past, e.known->command);
+        if (k > 0) hystmpc_learning_advance(m->learner, past, e.known->command);
         hystmpc_learning_added(m->learner, past, l->filters, e.alone, added);
         const real change = added[0] - e.known->added;
         for (int i = 0; i < n->angles; i++) e.angles[i] = e.alone[i] + added[i];
+        e.known->added = added[0];
+        if (k > 0) {
+            frames_repeat(s, n, frames_block(s, n, o, k - 1), frames_block(s, n, o, k));
+            continue;
+        }
         for (int i = 0; i < n->bank / 3; i++) e.bank[i] -= change;
         e.known->disturbance -= hystmpc_believed(s, &e) * change;
-        e.known->added = added[0];
     }
 }
 
@@ -153,8 +158,8 @@ HYSTMPC_LOCAL void hystmpc_frames_teach(const hystmpc_sensing *s, const hystmpc_
         used = 1;
     }
     if (!used) hystmpc_learning_wait(m->learner, l->behind, l->filters);
-    hystmpc_learning_advance(m->learner, l->behind, next.known->command);
     if (used && (acted > R(0.0) || l->filters->share > R(0.0))) frames_renew(s, m, &n, o, work);
+    hystmpc_learning_advance(m->learner, l->behind, next.known->command);
 }
 
 #undef FRAMES_NOISE

@@ -16,6 +16,7 @@
 #define HYSTMPC_WEIGHTS 22   /* gain, then one a feature */
 #define HYSTMPC_UNKNOWNS 23  /* offset before them */
 #define HYSTMPC_TRIANGLE 276 /* of a covariance of them, its lower half row by row */
+#define HYSTMPC_LIKELY 46    /* two changes of all unknowns */
 #define HYSTMPC_DRIVES 48    /* lags times delays */
 
 /* A learned part that stands still: predictions start from it. Commands are shares of their range. */

@@ -22,6 +22,7 @@ enum {
 
 #define LEARN_BETTER R(0.8)     /* share of the present score at which another drive is taken */
 #define LEARN_FULL_GAIN R(0.3)  /* over the model's score, beyond the least one, for the learned part's full effect */
+#define LEARN_ALIKE R(1.0)     /* blocks before the first one, in which nobody foretold better than the model */
 #define LEARN_MOVING R(2.0)     /* variances of the filters by which an angle has to move in a block that counts */
 #define LEARN_RECENT R(0.8)     /* forgetting factor of the errors that a supervisor uses, a block */
 #define LEARN_WORST R(1.2)      /* error of a block is limited to this: one bad block is weak evidence */
@@ -29,10 +30,12 @@ enum {
 #define LEARN_FAR R(0.1)        /* least way to an end that is looked at, as a share of the range */
 #define LEARN_SURPRISE R(9.0)   /* variances of an error in a hold, from which on it is an offset that has jumped */
 
-/* The covariance of one lag before anything has been learned. */
+/* The covariance of one lag before anything has been learned: free weights, and changes that are likely as a whole. */
 static void start_covariance(const hystmpc_learner *n, real (*p)[HYSTMPC_LAGS], int lag) {
+    const real *first = n->likely, *second = n->likely + LEARN_UNKNOWNS;
     for (int a = 0, at = 0; a < LEARN_UNKNOWNS; a++)
-        for (int b = 0; b <= a; b++, at++) p[at][lag] = a == b ? n->prior[a] : R(0.0);
+        for (int b = 0; b <= a; b++, at++)
+            p[at][lag] = (a == b ? n->prior[a] : R(0.0)) + first[a] * first[b] + second[a] * second[b];
 }
 
 /* Forecasts start from the present weights. */
@@ -126,11 +129,21 @@ static void correct_drives(const hystmpc_learner *n, real (*restrict z)[HYSTMPC_
 /* Mean square of what a forecast misses, without the noise of the measurements [deg^2]. */
 static real missed(const hystmpc_learner *n, real score) { return most(score - n->expected, R(0.0)) + n->floor; }
 
-/* What a block of forecasts says: the scores, the drive that is used, how far it acts. */
+/* Whether anything had been learned when a block of forecasts began. */
+static int has_learned(const hystmpc_filters *l) {
+    for (int a = 1; a < LEARN_UNKNOWNS; a++)
+        if (l->frozen[0][a][0] != R(0.0)) return 1;
+    return 0;
+}
+
+/* What a block of forecasts says: the scores, the drive that is used, how far it acts. Forecasts from before anything
+ * was learned are the model's: its error at the start is in all scores, and would hide for long who foretells better. */
 static void judge(const hystmpc_learner *n, hystmpc_filters *l, const real *means) {
-    if (means[LEARN_LAST_ANGLE] <= LEARN_MOVING * n->noise) return;
-    const real kept = least(n->kept, (real)l->blocks / ((real)l->blocks + R(1.0)));
+    if (means[LEARN_LAST_ANGLE] <= LEARN_MOVING * n->noise || !has_learned(l)) return;
+    const real before = (real)l->blocks + LEARN_ALIKE, kept = least(n->kept, before / (before + R(1.0)));
     int first = 0;
+    if (l->blocks == 0)
+        for (int i = 0; i < LEARN_DRIVES + 2; i++) l->scores[i] = means[LEARN_MODEL_ALONE];
     for (int i = 0; i < LEARN_DRIVES + 2; i++) l->scores[i] = kept * l->scores[i] + (R(1.0) - kept) * means[i];
     for (int i = 1; i < LEARN_DRIVES; i++)
         if (l->scores[i] < l->scores[first]) first = i;
@@ -267,6 +280,7 @@ HYSTMPC_LOCAL void hystmpc_learning_state(const hystmpc_learner *n, const real *
 
 #undef LEARN_BETTER
 #undef LEARN_FULL_GAIN
+#undef LEARN_ALIKE
 #undef LEARN_MOVING
 #undef LEARN_RECENT
 #undef LEARN_WORST

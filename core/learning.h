@@ -9,6 +9,7 @@ typedef struct {
     hystmpc_basis basis;
     real lags[HYSTMPC_LAGS];       /* way that the travel behind each lag goes in a sample, as a share */
     real prior[HYSTMPC_UNKNOWNS];  /* variances of z before anything was learned */
+    real likely[HYSTMPC_LIKELY]; /* two changes of z that are likely as a whole, one behind the other */
     real growth[HYSTMPC_UNKNOWNS]; /* of them in a sample */
     real walk[HYSTMPC_UNKNOWNS];   /* of them over the whole range of commands */
     real noise;                    /* variance of a measurement */

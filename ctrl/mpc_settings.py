@@ -109,11 +109,11 @@ class AdaptationSettings(Settings):
     """Block `adaptation`: rate of change of the learned part of a model, see `LearnedPredictor`.
 
     Attributes:
-        sigma_share: standard deviation of the learned weights at first, as a share of the angle over the whole range.
+        sigma_share: standard deviation of the free learned weights at first, as a share of the angle over the range.
         walk_share: their change over one stroke of the command, as a share of this.
     """
 
-    sigma_share: Positive = 0.4
+    sigma_share: Positive = 0.28
     walk_share: NotNegative = 0.01
 
 

@@ -45,7 +45,10 @@ _SHARES: Vec = np.concatenate(
 )  # standard deviations of the weights beside each other; their level is a setting
 
 DRIVES = LAGS_S.size * DELAYS
-_SIZE = FEATURES + 2  # of z: offset, w_c, weights
+SIZE = FEATURES + 2
+"""Entries of z: offset, w_c, weights."""
+PLAYS = slice(3, 3 + _PLAYS)
+"""Entries of z that are weights of the plays, the narrowest first."""
 _START, _QUEUE = 3, 3 + DELAYS  # ends of the start and of the queue in the past
 _BLOCK_S, _LEAST_BLOCK = 0.24, 3
 _SENSOR, _LEAST_SENSOR_DEG = 2.0, 0.05  # assumed noise is larger than the sensor's, since the basis is not exact
@@ -54,11 +57,11 @@ _KEPT = 0.8  # of a score in a block
 _GAIN_TO_ACT = 0.6  # share of the model's score by which a forecast has to be better before it acts
 _FLOOR = 0.5  # standard deviations of the sensor: no model has to predict better
 
-_VECTOR = DELAYS, _SIZE, LAGS_S.size
+_VECTOR = DELAYS, SIZE, LAGS_S.size
 FILTERS = np.dtype(
     [
         ("z", "f8", _VECTOR),
-        ("covariance", "f8", (DELAYS, _SIZE * (_SIZE + 1) // 2, LAGS_S.size)),
+        ("covariance", "f8", (DELAYS, SIZE * (SIZE + 1) // 2, LAGS_S.size)),
         ("frozen", "f8", _VECTOR),
         ("references", "f8", 2),
         ("sums", "f8", DRIVES + 2),
@@ -159,11 +162,14 @@ class FilterBank:
         y_k = m_k + h_k' z_k + v_k,   h = (1, m - m_0, f),   var(v) = r
         s = h' P h + r,  z <- z + P h (y - m - h' z) / s,  P <- P - P h h' P / s,  P <- P + Q
 
-    By Q the offset drifts, but the weights change with the travel of the command only: in a hold nothing is forgotten,
-    and an error of more than three standard deviations counts as a jump of the offset. Every 0.24 s all z are frozen,
-    and until the next time each drive predicts the angles from the commands alone. The model with its disturbance does
-    too, and so does the last angle. The mean squares of the errors, over the blocks in which the angle moved, are the
-    scores. The learned part of the drive with the best score acts with the share
+    At first P is the variances of free weights, and c c' for each change c of the device that is likely as a whole:
+    a few measurements determine how far the friction has grown, or how late a drive answers. By Q the offset
+    drifts, but the weights change with the travel of the command only: in a hold nothing is forgotten, and an error
+    of more than three standard deviations counts as a jump of the offset. Every 0.24 s all z are frozen, and until
+    the next time each drive predicts the angles from the commands alone. The model with its disturbance does too,
+    and so does the last angle. The mean squares of the errors, over the blocks in which the angle moved, are the
+    scores; a block that began before anything was learned does not count, since all forecasts are the model's
+    there. The learned part of the drive with the best score acts with the share
 
         s = (1 - (score + e) / (score of the model + e) - 0.6) / 0.3, within 0 and 1,   e = (sensor / 2)^2
 
@@ -175,6 +181,8 @@ class FilterBank:
         scale: angle over the whole range [deg].
         sensor_deg: standard deviation of the sensor [deg].
         delay: samples of delay that the estimator takes care of.
+        likely: changes c of z that are likely as a whole (2, K), see `likely_changes`; None for free weights alone.
+        drift: standard deviation of the offset after one second [deg].
     """
 
     def __init__(
@@ -185,11 +193,13 @@ class FilterBank:
         sensor_deg: float,
         delay: int,
         settings: AdaptationSettings,
+        likely: Vec | None = None,
+        drift: float = _DRIFT,
     ) -> None:
         low, high = command_range
         sensor = max(sensor_deg, _LEAST_SENSOR_DEG)
         prior = np.concatenate([[_OFFSET_DEG, _GAIN], settings.sigma_share * scale * _SHARES]) ** 2
-        growth = [_DRIFT**2 * dt, *np.zeros(_SIZE - 1)]
+        growth = [drift**2 * dt, *np.zeros(SIZE - 1)]
         walk = [0.0, *(settings.walk_share**2 * prior[1:]).tolist()]
         lags = [1.0 if tau == 0 else -math.expm1(-dt / tau) for tau in LAGS_S.tolist()]
         creeps = -np.expm1(-dt / _CREEPS_S)
@@ -199,6 +209,7 @@ class FilterBank:
             basis=known,
             lags=lags,
             prior=prior,
+            likely=np.zeros(2 * SIZE) if likely is None else likely.ravel(),
             growth=growth,
             walk=walk,
             noise=(_SENSOR * sensor) ** 2,

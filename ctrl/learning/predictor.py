@@ -16,6 +16,7 @@ from hystmpc.trials.types import Vec
 from ..command import attempt
 from ..mpc_settings import AdaptationSettings
 from .bank import LEARNED_SIZE, OF_WEIGHTS, FilterBank
+from .likely import likely_changes
 
 _RANGE_DEG = 60.0  # angle over the command range, if the model does not state it [deg]
 _SENSOR_DEG = 0.1  # standard deviation of the sensor, if the model's file does not state it [deg]
@@ -53,7 +54,11 @@ class LearnedPredictor(EnginePredictor):
         """Build the bank that learns the weights, behind `delay` samples of delay that the model does not have."""
         sensor = _SENSOR_DEG if self.noise is None else self.noise.sensor_sigma_deg
         scale = self.slope * self._span
-        return FilterBank(self.dt, self.command_range, scale, sensor, delay, self._settings)
+        return FilterBank(self.dt, self.command_range, scale, sensor, delay, self._settings, self._likely)
+
+    @cached_property
+    def _likely(self) -> Vec:
+        return likely_changes(self.model, self.slope * self._span)
 
     def initial(self, y: float, u: float) -> Vec:
         _, part = self._bank.acting(self._bank.init(y, u, y), (y,))
