@@ -34,6 +34,7 @@ typedef struct {
 typedef struct {
     int kind;
     int iterations;
+    int close_iterations;             /* where the model is close to the device: its plan is worth finishing */
     int changes;                      /* of the active set in one program */
     const hystmpc_law *law;           /* limits, weights and blocks */
     const hystmpc_sampling *sampling; /* null unless plans are random */

@@ -3,6 +3,8 @@
 #include "controller.h"
 #include "room.h"
 
+#define PREDICTIVE_CLOSE R(0.5) /* probability from which on the model counts as close, and its plan is finished */
+
 /* What both work on. */
 typedef struct {
     const hystmpc_problem *problem;
@@ -182,7 +184,9 @@ static void improve_plan(const planning *q, hystmpc_head *head, const hystmpc_gi
                          hystmpc_plan *best, hystmpc_proposal *out, int motion) {
     const real error = farthest(q->angles + HYSTMPC_HELD * q->horizon, q->horizon, g->disturbance, head->hold_target);
     const hystmpc_plan late = {q->plans + HYSTMPC_HELD * q->horizon, q->angles + HYSTMPC_HELD * q->horizon, R(0.0)};
-    const int answer = hystmpc_improve(q->planner, q->problem->model, q->x, task, best, &head->draws, q->room);
+    hystmpc_planner planner = *q->planner;
+    if (g->close >= PREDICTIVE_CLOSE) planner.iterations = planner.close_iterations;
+    const int answer = hystmpc_improve(&planner, q->problem->model, q->x, task, best, &head->draws, q->room);
     refuse_plan(out, status_of_planner(answer), answer);
     if (out->status != HYSTMPC_OK) return;
     const int waits = motion == q->horizon || head->constant == 0 || can_wait(q, g, task, best, motion, &late, out);
@@ -265,3 +269,5 @@ HYSTMPC_LOCAL int hystmpc_plan_ahead(const hystmpc_problem *p, const real *x, co
     int64_t draws = 0;
     return hystmpc_improve(q.planner, p->model, x, &task, best, &draws, q.room);
 }
+
+#undef PREDICTIVE_CLOSE

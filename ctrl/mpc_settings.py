@@ -177,7 +177,7 @@ class LinearisedMpcSettings(PredictiveSettings):
     """Linearised predictive controller (real-time iteration); see core/planner.c.
 
     Attributes:
-        iterations: linearisations per step.
+        iterations: linearisations per step; at least two where the model is close to the device, or there is no sensor.
         solver: of the quadratic programs.
         solver_eps: tolerance of OSQP; the active-set solver is exact.
         move_blocking: samples of each block of moves, see `MoveBlocking`; null lets every sample move, but for a
@@ -263,7 +263,7 @@ class SamplingMpcSettings(PredictiveSettings):
     Attributes:
         method: MPPI or CEM.
         samples: plans per iteration N; at least twice the number of blocks, so that every direction is tested twice.
-        iterations: times the distribution is moved per step.
+        iterations: times the distribution is moved per step; at least two where the model is close to the device.
         sigma: largest standard deviation of the perturbations [mm or bar]; null for a tenth of a sample's greatest
             move.
         finest: smallest one as a share of `sigma`.

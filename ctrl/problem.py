@@ -242,14 +242,14 @@ def _gains(gains: PidSettings, dt: float) -> Struct:
     )
 
 
-def iterations_of(settings: PredictiveSettings, inverse: Inverse) -> int:
-    """Return the planner's iterations per step.
+def iterations_of(settings: PredictiveSettings, inverse: Inverse) -> tuple[int, int]:
+    """Return the planner's iterations per step, and those where the model is close to the device.
 
-    They are at least the two of the inverse over a preview for a first-guess inverse, see `steady_inverse`, and where
-    there is no sensor to make up for an unfinished plan.
+    They are at least the two of the inverse over a preview for a first-guess inverse, see `steady_inverse`. A plan on a
+    close model is finished by a second one; on a model that errs it would only follow the error.
     """
-    alone = settings.estimator.sensor == "none" and isinstance(settings, LinearisedMpcSettings)
-    return max(settings.iterations, _REFINED) if is_first_guess(inverse) or alone else settings.iterations
+    usual = max(settings.iterations, _REFINED) if is_first_guess(inverse) else settings.iterations
+    return usual, max(usual, _REFINED)
 
 
 def is_first_guess(inverse: Inverse) -> bool:
@@ -266,10 +266,12 @@ def _planner(settings: PredictiveSettings, device: _Modelled, horizon: int, solv
         assert isinstance(settings, SamplingMpcSettings)
         kind = "HYSTMPC_CROSS_ENTROPY" if settings.method == "cem" else "HYSTMPC_PATH_INTEGRAL"
         sampling = _sampling(settings, device, horizon)
+    usual, close = iterations_of(settings, device.inverted)
     return struct(
         "hystmpc_planner",
         kind=kinds[kind],
-        iterations=iterations_of(settings, device.inverted),
+        iterations=usual,
+        close_iterations=close,
         changes=CHANGES,
         law=law_over(settings.weights.discounted(device.first_guess), horizon, device.limits, device.dt, blocks),
         sampling=sampling,
@@ -294,6 +296,7 @@ def _preview(device: _Modelled, horizon: int) -> Struct:
         "hystmpc_planner",
         kind=constants()["HYSTMPC_LINEARISED"],
         iterations=_INVERSE_ITERATIONS,
+        close_iterations=_INVERSE_ITERATIONS,
         changes=CHANGES,
         law=law_over(weights, horizon, device.limits, device.dt),
     )

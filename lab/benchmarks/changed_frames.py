@@ -25,6 +25,7 @@ from hystmpc.models.prediction.build import ControllerModel, controller_model
 from hystmpc.sim.study import run_closed_loop
 from hystmpc.sim.tuning.gains import searched_gains
 from hystmpc.trajectories.drawn import CountedMotion, drawn_motions
+from hystmpc.trials.errors import HystmpcError
 from hystmpc_lab.devices.drawn import FAMILIES, OUTSIDE, DrawnDevice, DrawnPlant, draw_devices, worn
 from hystmpc_lab.devices.motions import reference_speed
 from hystmpc_lab.identify.job import controller_on
@@ -82,9 +83,12 @@ def main() -> None:
     frames = ImagingSettings(rate_hz=options.rate_hz, latency_s=0.2, noise_deg=0.5)
     drawn = [d for d in draw_devices(options.devices, options.seed, False, ALL) if d.rate_hz < _FASTEST_HZ]
     chosen = [d for family in ALL for d in [d for d in drawn if f"-{family}-" in d.key][: options.each]]
+    try:
+        models = [controller_model(str(options.folder / "models" / f"{device.key}-auto.yaml")) for device in chosen]
+    except HystmpcError as error:
+        raise SystemExit(f"changed_frames: {error}; give the folder of `hystmpc study identify`") from None
     rows = []
-    for device in chosen:
-        model = controller_model(str(options.folder / "models" / f"{device.key}-auto.yaml"))
+    for device, model in zip(chosen, models, strict=True):
         for change in CHANGES:
             if change.startswith("creep") and device.creep > 0:
                 continue  # it creeps already

@@ -191,6 +191,19 @@ def test_moves_cost_what_the_probability_of_a_close_model_says() -> None:
     assert ours < error(model, "linearised_mpc", 0.2, "none", weights={"rate": both.rate})
 
 
+@pytest.mark.parametrize("drive", ["servo", "lag"])
+def test_the_plan_of_a_close_model_is_finished(drive: str) -> None:
+    """As one more linearisation a step would; without a sensor the model is all there is."""
+    model = known(drive)
+    for sensor in ("continuous", "none"):
+        ours, two, three = (
+            error(model, "linearised_mpc", 0.2, sensor, 0.05, **more)
+            for more in ({}, {"iterations": 2}, {"iterations": 3})
+        )
+        assert ours == two
+        assert ours != three
+
+
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 10**6), size=st.sampled_from([1.0, 10.0, 100.0]), u=st.sampled_from([0.0, 1.7, 4.2, 6.0]))
 def test_what_is_learned_never_makes_a_model_deaf(seed: int, size: float, u: float) -> None:
