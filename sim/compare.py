@@ -12,13 +12,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from hystmpc.ctrl.analysis import LoopAnalysis, analyse_pid
 from hystmpc.ctrl.estimation.observer import EstimatorSettings
 from hystmpc.ctrl.feedback import InversePidControllerSettings, PidControllerSettings
+from hystmpc.ctrl.linear.limit_cycles import LoopAnalysis, analyse_pid
 from hystmpc.models.inverse.drive import Drive
 from hystmpc.models.load import load_model, model_path
 from hystmpc.models.model import Predictor
 from hystmpc.models.operators.dynamics import Lag
+from hystmpc.models.operators.operator import Operator
 from hystmpc.models.prediction.build import SeriesPredictor, predictor_for
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.errors import ModelError
@@ -328,11 +329,14 @@ def _stability(result: StudyResult) -> Iterator[Piece]:
         yield Paragraph(f"Not analysed: the sensor is {config.sensor.kind}, expected continuous.")
         return
     try:
-        model = _identified(result)
+        model, operators = _identified(result)
     except ModelError as error:
         yield Paragraph(f"Not analysed: {error}")
         return
-    analyses = [(name, analyse_pid(model, s.gains, limits_of(config, name), delay)) for name, s in with_gains.items()]
+    analyses = [
+        (name, analyse_pid(model, s.gains, limits_of(config, name), delay, operators=operators))
+        for name, s in with_gains.items()
+    ]
     columns = ("controller", "prediction", "frequency [Hz]", "angle [deg]", f"command [{unit}]", "greatest loop gain")
     caption = (
         "By harmonic balance of the controller with the describing function of the identified model, the lag and delay "
@@ -342,12 +346,13 @@ def _stability(result: StudyResult) -> Iterator[Piece]:
     yield Table(columns, [_loop_row(name, analysis) for name, analysis in analyses], caption)
 
 
-def _identified(result: StudyResult) -> Predictor:
-    """Model of the controllers, behind the actuator lag of the study."""
+def _identified(result: StudyResult) -> tuple[Predictor, tuple[Operator, ...]]:
+    """Model of the controllers behind the actuator lag of the study, and its operators; none of a network."""
     opened = load_model(model_path(result.config.model), start="conditioned")
+    lag = (Lag(result.config.actuator_lag_s),) if result.config.actuator_lag_s > 0 else ()
     model = predictor_for(opened)
-    lag = result.config.actuator_lag_s
-    return SeriesPredictor(Drive((Lag(lag),), opened.metadata), model) if lag > 0 else model
+    whole = (*lag, *opened.operators) if opened.operators else ()
+    return SeriesPredictor(Drive(lag, opened.metadata), model) if lag else model, whole
 
 
 def _loop_row(name: str, analysis: LoopAnalysis) -> tuple[object, ...]:

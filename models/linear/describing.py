@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.types import Vec
 
-from ..model import Predictor
+from ..model import InvertiblePredictor, Predictor
 from ..operators.friction import MaxwellSlip
 from ..operators.hysteresis import Backlash, Play, Stop
 from ..operators.operator import Operator
@@ -31,6 +31,8 @@ O = TypeVar("O", bound=Operator)  # noqa: E741 - an operator
 _SETTLED = 1e-10  # change of the first harmonic from one cycle to the next, as a share of it
 _CYCLES = 2, 256  # driven at first, and at most
 _SHORTEST = 3  # samples of a period
+_LONGEST = 6000  # samples of a transient of a network: the memory of a roll-out grows with its square
+_AT_ONCE = 100_000  # samples of all rows of a roll-out, and of a transient of operators
 
 
 class SettledCycle(NamedTuple):
@@ -71,11 +73,13 @@ def settled_cycle(predictor: Predictor, centre: float, amplitudes: Vec, samples:
             f"describing function: got amplitudes from {np.min(amplitudes):.6g}, {samples} samples of {periods} "
             f"periods, expected amplitudes above 0 and at least {_SHORTEST} samples a period"
         )
-    cycles, most = _CYCLES
+    start, (cycles, most) = predictor.initial(0.0, centre), _CYCLES
+    longest = _AT_ONCE if isinstance(predictor, InvertiblePredictor) else _LONGEST
+    most = max(min(most, longest // samples), 2 * cycles)
     while True:
         turn = 2.0 * np.pi * periods * np.arange(cycles * samples) / samples
-        commands = centre + amplitudes[:, None] * np.sin(turn)
-        angles = predictor.rollout(predictor.initial(0.0, centre), commands)
+        parts = np.array_split(amplitudes, min(-(-amplitudes.size * turn.size // _AT_ONCE), amplitudes.size))
+        angles = np.vstack([predictor.rollout(start, centre + part[:, None] * np.sin(turn)) for part in parts])
         before, last = angles[:, -2 * samples : -samples], angles[:, -samples:]
         wave = np.exp(-1j * turn[:samples])
         first, earlier = last @ wave, before @ wave
@@ -124,8 +128,9 @@ def of_ramp(amplitudes: Vec, threshold: float) -> Vec:
 
 def _of_backlash(operator: Backlash, amplitudes: Vec, centre: float) -> Complex | None:
     """Two lines of different slopes with flat paths between them; None where the lines cross in the range."""
-    values = np.zeros(amplitudes.shape, dtype=np.complex128)
-    o = operator
+    o, values = operator, np.zeros(amplitudes.shape, dtype=np.complex128)
+    if o.m_lo == o.m_up and o.c_lo >= o.c_up:
+        return np.asarray(o.m_lo * of_play(amplitudes, 0.5 * (o.c_lo - o.c_up)), dtype=np.complex128)
     for k, amplitude in enumerate(amplitudes):
         low, high = centre - amplitude, centre + amplitude
         if min(o.gap(low), o.gap(high)) < 0:

@@ -9,8 +9,9 @@ from control import DescribingFunctionNonlinearity
 
 from hystmpc.trials.errors import ModelError
 
-from ..model import Predictor
+from ..model import LoadedModel, Predictor
 from ..operators.operator import Memoryless, Operator
+from ..prediction.build import predictor_for
 from ..stages import prepared
 from .describing import closed_form, settled_cycle, whole_cycle
 
@@ -96,12 +97,12 @@ class SettledNonlinearity(DescribingFunctionNonlinearity):
     """Any model as a nonlinearity at one frequency: its describing function is that of the settled cycle.
 
     Networks, Bouc-Wen and whole chains have it. DF(A, omega) of a model that depends on the rate is that of
-    `SettledNonlinearity(predictor, centre, omega)`.
+    `SettledNonlinearity(model, centre, omega)`.
 
     Parameters
     ----------
-    predictor : Predictor
-        Of the model, `predictor_for(model)`.
+    model : LoadedModel or Predictor
+        As `hystmpc.load_model` opens it.
     centre : float
         Mean of the command.
     omega : float, optional
@@ -111,8 +112,9 @@ class SettledNonlinearity(DescribingFunctionNonlinearity):
         ModelError: if there are fewer than three samples a period.
     """
 
-    def __init__(self, predictor: Predictor, centre: float, omega: float | None = None) -> None:
+    def __init__(self, model: LoadedModel | Predictor, centre: float, omega: float | None = None) -> None:
         super().__init__()
+        predictor = predictor_for(model) if isinstance(model, LoadedModel) else model
         self.predictor, self.centre = predictor, float(centre)
         self.samples, self.periods = (_SLOW, 1) if omega is None else whole_cycle(omega * predictor.dt)
         self._state = predictor.initial(0.0, self.centre)

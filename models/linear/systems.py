@@ -28,6 +28,7 @@ System = Any
 """A system of python-control, which has no types."""
 
 _Run = Callable[[Vec, Vec], tuple[Vec, Vec]]
+_NO_LINK = 1e-8  # relative; the rounding of a numeric linearisation
 _NUDGE = 1e-4  # of the command range: beyond the step of a numeric linearisation, small against a play
 
 
@@ -64,26 +65,46 @@ def linear_part(operator: Operator, dt_s: float) -> LinearPart | None:
     return LinearPart(m[:n, :n], m[:n, n:], m[n:, :n], m[n:, n:])
 
 
-def control_system(model: Steps, name: str, operators: Sequence[Operator] = ()) -> System:
-    """Discrete-time system of a model, of a chain by its operators; see `LoadedModel.to_control`."""
+def control_system(
+    model: Steps, name: str, operators: Sequence[Operator] = (), drive: Sequence[Operator] = ()
+) -> System:
+    """Discrete-time system of a model, of a chain by its operators, behind a drive; see `LoadedModel.to_control`."""
     from control import interconnect
 
     facts = model.metadata
     ends = f"command_{facts.command_unit}", f"angle_{facts.angle_unit}"
     nudge = _NUDGE * (facts.command_limits.upper - facts.command_limits.lower)
-    if not operators:
-        labels = [f"x{k}" for k in range(model.state_size)]
-        return _nonlinear(model.run_on, labels, ends, facts.dt_s, name, nudge, last=True)
-    groups = _groups(operators, facts.dt_s)
-    if len(groups) == 1:
-        return _block(groups[0], ends, facts.dt_s, name, nudge, last=True)
-    names = _names(groups)
+    groups = _groups((*drive, *operators), facts.dt_s)
+    names = [*_names(groups), *([] if operators else ["model"])]
     signals = [ends[0], *(f"{block}_out" for block in names[:-1]), ends[1]]
+    if len(names) == 1:
+        names = [name]
     blocks = [
-        _block(group, (signals[k], signals[k + 1]), facts.dt_s, names[k], nudge, last=k + 1 == len(groups))
+        _block(group, (signals[k], signals[k + 1]), facts.dt_s, names[k], nudge, last=k + 1 == len(names))
         for k, group in enumerate(groups)
     ]
+    if not operators:
+        labels = [f"x{k}" for k in range(model.state_size)]
+        blocks += [_nonlinear(model.run_on, labels, (signals[-2], ends[1]), facts.dt_s, names[-1], nudge, last=True)]
+    if len(blocks) == 1:
+        return blocks[0]
     return interconnect(blocks, inputs=[ends[0]], outputs=[ends[1]], name=name)
+
+
+def reduced(system: System) -> System:
+    """Linear system without the states that no input reaches, or that no output shows.
+
+    A play that is stuck is such a state: it only shifts the output.
+    """
+    from control import ss
+
+    links = np.abs(system.A) > _NO_LINK * max(1.0, float(np.abs(system.A).max(initial=0.0)))
+    reached, shown = np.any(np.abs(system.B) > 0, axis=1), np.any(np.abs(system.C) > 0, axis=0)
+    for _ in range(system.nstates):
+        reached, shown = reached | (links @ reached), shown | (shown @ links)
+    keep = np.flatnonzero(reached & shown)
+    part = (system.A[np.ix_(keep, keep)], system.B[keep], system.C[:, keep], system.D)
+    return ss(*part, system.dt, inputs=system.input_labels, outputs=system.output_labels, remove_useless_states=False)
 
 
 def _groups(operators: Sequence[Operator], dt_s: float) -> list[list[Operator]]:
