@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from hystmpc.ctrl.config import AnyControllerSettings
     from hystmpc.ctrl.linear.report import LoopsAnalysis
 
-_TOLERANCE_DEG = 0.5
-
 
 def analyse(
     config: Settings,
@@ -46,31 +44,28 @@ def analyse(
         ConfigError: if `out` is not empty, or the file is neither a tip's nor a study's.
     """
     from hystmpc.ctrl.command import limits_of_model, modelled_limits
-    from hystmpc.ctrl.linear.analysis import DeviceModel, analyse_controllers, delay_of
-    from hystmpc.ctrl.linear.report import LoopsAnalysis
+    from hystmpc.ctrl.linear.report import TOLERANCE_DEG, loops_of
     from hystmpc.models.load import load_model
 
     allow_classes(allow_python)
     if out is not None:
         require_vacant(out)
-    given, controllers, folder, tolerance = _read(config, tuple(overrides))
+    given, controllers, folder = _read(config, tuple(overrides))
     path = _file(given.model, folder)
     model = load_model(path, "conditioned")
     limits = modelled_limits(given.limits, limits_of_model(model.metadata))
-    middle = 0.5 * (limits.lower + limits.upper) if command is None else command
-    delay = max(delay_of(settings) for settings in controllers.values())
-    device = DeviceModel(model, given.actuator_lag_s, delay, middle)
-    wanted = tolerance if tolerance_deg is None else tolerance_deg
-    done = analyse_controllers(device, limits, list(controllers.items()), wanted)
-    analysis = LoopsAnalysis(given.model, model.metadata.command_unit, device, done)
+    wanted = getattr(given, "tolerance_deg", TOLERANCE_DEG) if tolerance_deg is None else tolerance_deg
+    analysis = loops_of(
+        model, given.model, controllers, limits, given.actuator_lag_s, command=command, tolerance_deg=wanted
+    )
     if out is not None:
         run = RunFolder.create(Path(out), given, seed=0, models=(path,))
         run.write_report(analysis.report())
     return analysis
 
 
-def _read(config: Settings, overrides: tuple[str, ...]) -> tuple[Any, Mapping[str, AnyControllerSettings], Path, float]:
-    """Settings of a tip or of a study, controllers by name, folder of relative names, tolerance [deg]."""
+def _read(config: Settings, overrides: tuple[str, ...]) -> tuple[Any, Mapping[str, AnyControllerSettings], Path]:
+    """Settings of a tip or of a study, controllers by name, folder of relative names."""
     from hystmpc.ctrl.planner.settings import TipSettings
     from hystmpc.sim.config import SimulationConfig
 
@@ -84,9 +79,9 @@ def _read(config: Settings, overrides: tuple[str, ...]) -> tuple[Any, Mapping[st
         )
     if "controllers" in data:
         study = settings_of(SimulationConfig, config, overrides)
-        return study, study.controllers, folder, _TOLERANCE_DEG
+        return study, study.controllers, folder
     tip = settings_of(TipSettings, config, overrides)
-    return tip, {tip.controller.kind: tip.controller}, folder, tip.tolerance_deg
+    return tip, {tip.controller.kind: tip.controller}, folder
 
 
 def _file(name: str, folder: Path) -> Path:

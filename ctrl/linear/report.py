@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from hystmpc.models.model import LoadedModel
 from hystmpc.trials.brief import in_brief
 from hystmpc.trials.report import (
     DASHES,
@@ -28,7 +29,9 @@ from hystmpc.trials.report import (
 )
 from hystmpc.trials.types import Vec
 
-from .analysis import ControllerAnalysis, DeviceModel
+from ..command import CommandLimits
+from ..config import AnyControllerSettings
+from .analysis import ControllerAnalysis, DeviceModel, analyse_controllers, delay_of
 
 COLUMNS = (
     "controller",
@@ -42,6 +45,9 @@ COLUMNS = (
     "cycle [Hz]",
     "in a hold",
 )
+TOLERANCE_DEG = 0.5
+"""Oscillation that a hold may have, where nothing else is given: the tolerance of a tip's target [deg]."""
+
 _POINTS, _SHOWN = 600, 3.0  # of a curve; half the side of a Nyquist plot
 _AMPLITUDES = 80
 
@@ -69,13 +75,49 @@ class LoopsAnalysis:
         """One row for each controller, by `COLUMNS`; the delay is that with the hysteresis where it is known."""
         return [_row(one) for one in self.controllers]
 
+    def summary(self) -> tuple[Piece, ...]:
+        """Table with a warning and notes, for a page on something else; nothing without controllers."""
+        return tuple(_summary(self)) if self.controllers else ()
+
     def report(self) -> Report:
         """Page with table, notes and figures."""
-        return Report("Analysis of the loops", tuple(_pieces(self)), f"model {self.source}")
+        pieces = (Heading("What the loops will do"), *self.summary(), *_figures(self))
+        return Report("Analysis of the loops", pieces, f"model {self.source}")
 
     def plot(self) -> Figure:
         """Nyquist curve of every loop that is analysed, with -1/DF where it has a PID."""
         return nyquist_figure([one for one in self.controllers if one.margins is not None])
+
+
+def loops_of(
+    model: LoadedModel,
+    source: str,
+    controllers: Mapping[str, AnyControllerSettings],
+    limits: CommandLimits,
+    lag_s: float = 0.0,
+    *,
+    command: float | None = None,
+    tolerance_deg: float = TOLERANCE_DEG,
+) -> LoopsAnalysis:
+    """Analyse controllers around one model; the further delay is the longest that one of them is given.
+
+    Args:
+        model: opened conditioned.
+        source: of the model, for the page.
+        controllers: settings by name.
+        limits: of the command.
+        lag_s: lag of the command that the model does not contain [s].
+        command: operating point; the middle of the limits where left out.
+        tolerance_deg: oscillation that a hold may have [deg].
+
+    Raises:
+        ControllerError: if the operating point is not within the limits.
+    """
+    delay = max((delay_of(settings) for settings in controllers.values()), default=0)
+    middle = 0.5 * (limits.lower + limits.upper) if command is None else command
+    device = DeviceModel(model, lag_s, delay, middle)
+    done = analyse_controllers(device, limits, list(controllers.items()), tolerance_deg)
+    return LoopsAnalysis(source, model.metadata.command_unit, device, done)
 
 
 def _row(one: ControllerAnalysis) -> tuple[object, ...]:
@@ -88,10 +130,9 @@ def _row(one: ControllerAnalysis) -> tuple[object, ...]:
     return one.name, m.gain, m.phase_deg, m.disk, m.sensitivity, survived, lag, *sizes, one.rest
 
 
-def _pieces(analysis: LoopsAnalysis) -> Iterator[Piece]:
+def _summary(analysis: LoopsAnalysis) -> Iterator[Piece]:
     device, shown = analysis.device, [one for one in analysis.controllers if one.margins is not None]
     too_great = [one.name for one in shown if one.too_great]
-    yield Heading("What the loops will do")
     if too_great:
         yield Paragraph(
             f"Do not run {', '.join(too_great)} with these settings: the predicted oscillation exceeds the "
@@ -115,6 +156,10 @@ def _pieces(analysis: LoopsAnalysis) -> Iterator[Piece]:
             "sample time": f"{device.model.dt:g} s",
         }
     )
+
+
+def _figures(analysis: LoopsAnalysis) -> Iterator[Piece]:
+    device, shown = analysis.device, [one for one in analysis.controllers if one.margins is not None]
     if shown:
         yield Heading("Frequency responses")
         yield Plot(bode_figure(device, shown), "Device, linearised, and loops; dotted: gain 1 and -180 degrees.")

@@ -16,6 +16,7 @@ from hystmpc.ctrl.feedback import PidControllerSettings, PidSettings
 from hystmpc.ctrl.linear.analysis import ControllerAnalysis, DeviceModel, analyse_controllers
 from hystmpc.ctrl.linear.laws import pid_system, predictive_system
 from hystmpc.ctrl.linear.margins import LoopMargins, is_stable, margins_of
+from hystmpc.ctrl.linear.report import loops_of
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.models.linear.systems import LinearPart
 from hystmpc.models.model import LoadedModel
@@ -170,3 +171,20 @@ def test_a_network_is_linearised_by_exact_derivatives() -> None:
     system = device.linear
     linear = control.forced_response(system, device.model.dt * np.arange(31), np.ones(31), np.zeros(system.nstates))
     np.testing.assert_allclose(np.ravel(linear.outputs)[1:], (moved - held) / step, rtol=0.05, atol=0.05)
+
+
+def test_a_page_marks_what_a_hold_does_not_bear(tmp_path: object) -> None:
+    controllers = {
+        "calm": parse_controller({"kind": "pid", "gains": {"kp_per_deg": 0.01, "ki_per_deg_s": 0.3}}, "test"),
+        "wild": parse_controller({"kind": "pid", "gains": {"kp_per_deg": 0.01, "ki_per_deg_s": 30.0}}, "test"),
+        "plan": parse_controller({"kind": "linearised_mpc"}, "test"),
+        "blind": parse_controller({"kind": "inverse"}, "test"),
+    }
+    model = hystmpc.load_model("builtin:backlash", "conditioned")
+    analysis = loops_of(model, "builtin:backlash", controllers, WIDE, 0.08)
+    text = analysis.report().html()
+    assert "Do not run wild with these settings" in text
+    assert text.count("<svg") == 2
+    assert [row[0] for row in analysis.rows()] == list(controllers)
+    assert "wild: " in repr(analysis)
+    assert len(analysis.plot().axes) == 4
