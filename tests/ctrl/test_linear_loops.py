@@ -14,13 +14,16 @@ from hystmpc.ctrl.config import parse_controller
 from hystmpc.ctrl.estimation.observer import EstimatorSettings
 from hystmpc.ctrl.feedback import PidControllerSettings, PidSettings
 from hystmpc.ctrl.linear.analysis import ControllerAnalysis, DeviceModel, analyse_controllers
+from hystmpc.ctrl.linear.design import gains_by_margin
 from hystmpc.ctrl.linear.laws import pid_system, predictive_system
+from hystmpc.ctrl.linear.limit_cycles import PidLoop
 from hystmpc.ctrl.linear.margins import LoopMargins, is_stable, margins_of
 from hystmpc.ctrl.linear.report import loops_of
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.models.linear.systems import LinearPart
 from hystmpc.models.model import LoadedModel
 from hystmpc.models.operators.dynamics import Lag
+from hystmpc.models.operators.hysteresis import Backlash
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.static_curves import Line
 from hystmpc.models.prediction.build import controller_model
@@ -171,6 +174,31 @@ def test_a_network_is_linearised_by_exact_derivatives() -> None:
     system = device.linear
     linear = control.forced_response(system, device.model.dt * np.arange(31), np.ones(31), np.zeros(system.nstates))
     np.testing.assert_allclose(np.ravel(linear.outputs)[1:], (moved - held) / step, rtol=0.05, atol=0.05)
+
+
+@pytest.mark.parametrize("phase", [45.0, 60.0])
+def test_gains_by_margin_have_it_around_a_linear_device(phase: float) -> None:
+    device = DeviceModel(model_of(Lag(0.2), Line(10.0, 20.0)), 0.0, 2, 3.0)
+    gains = gains_by_margin(device, WIDE, PidSettings(dead_zone_deg=0.1), phase)
+    margins = margins_of(device.linear * pid_system(gains, DT))
+    assert margins.phase_deg == pytest.approx(phase, abs=2.0)
+    assert gains.kp_per_deg == pytest.approx(0.2 * gains.ki_per_deg_s, rel=1e-3)
+    assert gains.dead_zone_deg == 0.1
+
+
+@pytest.mark.parametrize("name", ["backlash", "pi", "tendon-catheter"])
+def test_gains_by_margin_make_no_limit_cycle_and_follow_the_unit_of_the_command(name: str) -> None:
+    device = DeviceModel(hystmpc.load_model(f"builtin:{name}", "conditioned"), 0.1, 1, 3.0)
+    gains = gains_by_margin(device, WIDE, PidSettings())
+    loop = PidLoop(device.harmonics, gains, WIDE, device.delay_samples)
+    assert not loop.analyse().oscillates
+    assert (loop.delay_margin() or 0) >= 2
+
+
+def test_a_model_that_does_not_answer_has_no_gains() -> None:
+    dead = DeviceModel(model_of(Backlash(10.0, 10.0, 4.4, 0.0)), 0.0, 0, 3.0)
+    with pytest.raises(ControllerError, match=r"got no answer of the model to 1\.5 around 3"):
+        gains_by_margin(dead, WIDE, PidSettings())
 
 
 def test_a_page_marks_what_a_hold_does_not_bear(tmp_path: object) -> None:
