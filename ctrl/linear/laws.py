@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,21 @@ def pid_system(gains: PidSettings, dt_s: float, name: str = "pid") -> System:
     keep = [k for k, used in enumerate((gains.ki_per_deg_s > 0, gains.kd_s_per_deg > 0)) if used]
     part = (a[np.ix_(keep, keep)], b[keep], c[:, keep], d)
     return ss(*part, dt_s, inputs=["error_deg"], outputs=["command"], name=name, remove_useless_states=False)
+
+
+def engine_pid(step: Callable[[Vec, Vec], tuple[float, Vec]], dt_s: float, name: str) -> System:
+    """PID of the engine as a nonlinear system; `step` gives command and next states, see `GuardedController`."""
+    from control import nlsys
+
+    return nlsys(
+        lambda t, x, u, params: step(x, u)[1],
+        lambda t, x, u, params: np.array([step(x, u)[0]]),
+        inputs=["reference_deg", "angle_deg"],
+        outputs=["command"],
+        states=["integral", "speed", "angle_deg", "command"],
+        dt=dt_s,
+        name=name,
+    )
 
 
 def predictive_system(

@@ -19,6 +19,7 @@ from hystmpc.ctrl.linear.laws import pid_system, predictive_system
 from hystmpc.ctrl.linear.limit_cycles import PidLoop
 from hystmpc.ctrl.linear.margins import LoopMargins, is_stable, margins_of
 from hystmpc.ctrl.linear.report import loops_of
+from hystmpc.ctrl.loop import run_loop
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.models.linear.systems import LinearPart
 from hystmpc.models.model import LoadedModel
@@ -30,6 +31,7 @@ from hystmpc.models.prediction.build import controller_model
 from hystmpc.models.simulator import ChainModel
 from hystmpc.trials.errors import ControllerError
 
+from .plays import ModelPlant
 from .test_limit_cycles import DT, compiled_of
 
 WIDE = CommandLimits(0.0, 6.0, 100.0)
@@ -216,3 +218,30 @@ def test_a_page_marks_what_a_hold_does_not_bear(tmp_path: object) -> None:
     assert [row[0] for row in analysis.rows()] == list(controllers)
     assert "wild: " in repr(analysis)
     assert len(analysis.plot().axes) == 4
+
+
+def test_a_loop_of_python_control_is_our_closed_loop() -> None:
+    """Device and PID as its systems, joined by `interconnect`: limits, dead zone and anti-windup act."""
+    gains = PidSettings(kp_per_deg=0.03, ki_per_deg_s=0.6, kd_s_per_deg=0.002, dead_zone_deg=0.3)
+    model, tight = model_of(Lag(0.1), Backlash(10.0, 10.0, 2.4, 2.0)), CommandLimits(0.5, 5.0, 4.0)
+    controller = hystmpc.build_controller(PidControllerSettings(gains=gains), model, limits=tight)
+    wanted = np.where(np.arange(300) < 150, 65.0, 31.0)
+    plant = ModelPlant(controller_model(model).predictive[0], 52.0, 3.0)
+    log = run_loop(controller, plant, lambda k: np.array([wanted[k]]), wanted.size, u_start=3.0)
+    pid, device = controller.to_control(), model.to_control()
+    loop = control.interconnect(
+        [pid, device],
+        connections=[["device.command_mm", "controller.command"], ["controller.angle_deg", "device.angle_deg"]],
+        inplist=["controller.reference_deg"],
+        outlist=["controller.command", "device.angle_deg"],
+    )
+    rest = model.resting_x(52.0, 3.0)
+    start = np.concatenate([[3.0 - tight.lower, 0.0, rest[-1], 3.0], rest])
+    response = control.input_output_response(loop, DT * np.arange(wanted.size), wanted, start)
+    np.testing.assert_allclose(response.outputs[0], log.command, rtol=0.0, atol=1e-9)
+    assert np.ptp(log.command) > 3.0
+
+
+def test_a_law_with_a_plan_is_no_fixed_law() -> None:
+    with pytest.raises(ControllerError, match="expected a pid, which is a fixed law"):
+        hystmpc.build_controller("linearised_mpc", "builtin:pi").to_control()
