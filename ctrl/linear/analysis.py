@@ -100,8 +100,9 @@ class DeviceModel:
         return HarmonicModel(controller_model(self.model, None, self.lag_s).predictive[0], whole, self.command)
 
     def _linear(self, system: System) -> System:
-        import control
+        import control as library
 
+        control: System = library  # whose annotations call an array a float
         dt, low = self.model.dt, self.model.metadata.command_limits.lower
         u = np.append(np.linspace(low, self.command, _RAMP), np.full(round(_HOLD_S / dt), self.command))
         angle = 0.5 * (self.model.metadata.trained_angle.lower + self.model.metadata.trained_angle.upper)

@@ -59,7 +59,7 @@ def come_around(model: HarmonicModel, gains: PidSettings, delay_samples: int, am
     periods = np.maximum(np.rint(_POINTS * omega * dt / (2.0 * np.pi)), 1.0)
     turn = np.outer(periods, 2.0 * np.pi * np.arange(_POINTS) / _POINTS)  # in the order of the samples
     wave = np.exp(1j * k[None, :, None] * turn[:, None, :])
-    back = np.conj(np.swapaxes(wave, 1, 2)) * (2.0 / _POINTS)
+    back = np.asarray(np.conj(np.swapaxes(wave, 1, 2)) * (2.0 / _POINTS), dtype=np.complex128)
     u = np.zeros(z.shape, dtype=np.complex128)
     u[:, 0] = -1j * amplitudes
     before, v = u, u

@@ -52,6 +52,7 @@ def gains_by_margin(
     loop = (plant * controller_response(unit, dt, model.frequencies, ones, device.delay_samples))[:, 0]
     late = np.flatnonzero(np.unwrap(np.angle(loop)) <= math.radians(phase_deg - 180.0))
     ki = 1.0 / abs(loop[late[0] if late.size else -1])
+    gains = given
     for _ in range(_TRIES):
         two = {"kp_per_deg": float(f"{lag * ki:.4g}"), "ki_per_deg_s": float(f"{ki:.4g}"), "kd_s_per_deg": 0.0}
         gains = given.model_copy(update=two)

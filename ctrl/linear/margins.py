@@ -86,7 +86,7 @@ def margins_of(loop: System) -> LoopMargins:
 
 def is_stable(loop: System) -> bool:
     """Whether all poles of L / (1 + L) lie within the unit circle; those that L hides from its output do not count."""
-    return bool(np.all(np.abs(_closed_poles(loop)) < 1.0 - _ON_THE_CIRCLE))
+    return bool(np.all(_closed_poles(loop) < 1.0 - _ON_THE_CIRCLE))
 
 
 def delay_survived(loop: System, longest: int = _LONGEST_DELAY) -> int | None:
@@ -117,7 +117,7 @@ def _lag_borne(loop: System) -> float:
 
 
 def _settling_s(loop: System) -> float:
-    slowest = float(np.max(np.abs(_closed_poles(loop)), initial=0.0))
+    slowest = float(np.max(_closed_poles(loop), initial=0.0))
     return (
         math.inf
         if slowest >= 1.0 - _ON_THE_CIRCLE
@@ -144,9 +144,10 @@ def _after(loop: System, part: LinearPart) -> System:
 
 
 def _closed_poles(loop: System) -> Vec:
+    """Magnitudes of the poles of L / (1 + L)."""
     from control import ss
 
-    system = ss(loop)
+    system: System = ss(loop)
     through = 1.0 + float(np.asarray(system.D).item())
     a: Mat = system.A - system.B @ system.C / through
-    return np.asarray(np.linalg.eigvals(a))
+    return np.asarray(np.abs(np.linalg.eigvals(a)), dtype=np.float64)

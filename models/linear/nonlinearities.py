@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from control import DescribingFunctionNonlinearity
@@ -67,7 +67,7 @@ class OperatorNonlinearity(DescribingFunctionNonlinearity):
         angle, self._state = self._run.step(self._state, self.centre + float(A))
         return angle - self._middle
 
-    def _isstatic(self) -> bool:
+    def _isstatic(self) -> Any:
         return isinstance(self.operator, Memoryless)
 
     def describing_function(self, A: float) -> complex:

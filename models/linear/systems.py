@@ -182,7 +182,7 @@ def from_control(system: System, dt_s: float) -> LinearDynamics:
     from control import sample_system, ss, tf
 
     try:
-        given = ss(system)
+        given: System = ss(system)
     except Exception as error:  # noqa: BLE001 - python-control raises many kinds on what is no linear system
         raise ModelError(f"from_control: got {type(system).__name__}, expected a linear system: {error}") from None
     if not given.issiso() or not (given.isctime() or given.dt in (True, dt_s)):
@@ -197,9 +197,9 @@ def from_control(system: System, dt_s: float) -> LinearDynamics:
     if abs(gain - 1.0) > _UNIT_GAIN:
         raise ModelError(f"from_control: got a static gain of {gain:.9g}, expected 1: the gain is the model's")
     if continuous:
-        held = sample_system(given, dt_s, method="zoh")
+        held: System = sample_system(given, dt_s, method="zoh")
         given = ss(held.A, held.B, given.C @ held.A, given.C @ held.B + given.D, dt_s)
-    fraction = tf(given)
+    fraction: System = tf(given)
     numerator, denominator = np.asarray(fraction.num[0][0]), np.asarray(fraction.den[0][0])
     numerator = np.concatenate([np.zeros(denominator.size - numerator.size), numerator]) / denominator[0]
     return LinearDynamics(tuple(denominator[1:] / denominator[0]), tuple(numerator))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Self, final
+from typing import Annotated, Any, ClassVar, Self, final
 
 import casadi as ca
 import numpy as np
@@ -300,7 +300,8 @@ class LinearDynamics(Operator):
             )
         b = np.array(self.numerator)
         behind = np.linalg.solve(step[:n, :n].T, b[1:] - b[0] * np.array(self.denominator))  # y by the next w
-        held = np.real(expm(logm(step) * (dt_s / was_s)))
+        rate: Any = logm(step)
+        held = np.real(expm(rate * (dt_s / was_s)))
         a, by = held[:n, :n], held[:n, n]
         through, below = b[0] - behind @ step[:n, n] + behind @ by, np.poly(a)
         above = np.poly(a - np.outer(by, behind @ a)) + (through - 1.0) * below
