@@ -245,3 +245,22 @@ def test_a_loop_of_python_control_is_our_closed_loop() -> None:
 def test_a_law_with_a_plan_is_no_fixed_law() -> None:
     with pytest.raises(ControllerError, match="expected a pid, which is a fixed law"):
         hystmpc.build_controller("linearised_mpc", "builtin:pi").to_control()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["backlash", "tendon-catheter", "auto"])
+@pytest.mark.parametrize("adaptation", [{}, {"adaptation": None}])
+def test_a_predictive_loop_survives_at_least_the_predicted_delay(name: str, adaptation: dict[str, None]) -> None:
+    """The estimator's greatest gain is the worst case; the controller is not given the further delay."""
+    model, lag = hystmpc.load_model(f"builtin:{name}", "conditioned"), 0.08
+    settings = parse_controller({"kind": "linearised_mpc", **adaptation}, "test")
+    (one,) = loops_of(model, name, {"mpc": settings}, WIDE, lag).controllers
+    assert one.delay_samples is not None
+    assert one.delay_samples >= 1
+    controller = hystmpc.build_controller(settings, model, actuator_lag_s=lag)
+    predictor = controller_model(model, None, lag).predictive[0]
+    middle = float(predictor.rollout(predictor.initial(0.0, 3.0), np.full((1, 300), 3.0))[0, -1])
+    plant = ModelPlant(predictor, middle, 3.0, delay_samples=one.delay_samples)
+    reference = [np.full(controller.horizon, middle + 8.0 * (k < 300 and (k // 40) % 2)) for k in range(900)]
+    log = run_loop(controller, plant, lambda k: reference[min(k, 899)], 900, u_start=3.0)
+    assert np.ptp(log.measured_deg[-300:]) < 0.2
