@@ -213,7 +213,8 @@ def _of_pid(
 ) -> ControllerAnalysis:
     loop = PidLoop(device.harmonics, settings.gains, limits, device.delay_samples)
     linear, balance = device.linear * pid_system(settings.gains, device.model.dt), loop.analyse()
-    notes = ["describing function by settled cycles"] if device.harmonics.parts is None else []
+    slowest = f"describing function by settled cycles: none of more than {device.harmonics.slowest_s:.3g} s is seen"
+    notes = [slowest] if device.harmonics.parts is None else []
     if balance.diverges:
         notes.append("the command limits bound the oscillation: its size is not predicted")
     if balance.cycle is not None:

@@ -16,7 +16,7 @@ from .balance import controller_response
 from .limit_cycles import PidLoop
 
 _SHARE = 0.25  # of the range
-_LESS, _TRIES = 0.7, 20
+_LOWERED, _TRIES = 0.7, 20
 
 
 def gains_by_margin(
@@ -58,5 +58,5 @@ def gains_by_margin(
         gains = given.model_copy(update=two)
         if not PidLoop(model, gains, limits, device.delay_samples).analyse().oscillates:
             return gains
-        ki *= _LESS
+        ki *= _LOWERED
     return gains

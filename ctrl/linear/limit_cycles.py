@@ -22,10 +22,13 @@ from .balance import Around, come_around, controller_response
 
 Complex = NDArray[np.complex128]
 
-_AMPLITUDES, _SMALLEST = (80, 32), 4e-3  # with a closed form, without; the smallest of half the command range
-_BISECTIONS = 12, 5
+_AMPLITUDES, _SMALLEST = (80, 32, 16), 4e-3  # by the effort of the model; the smallest of half the command range
+_BISECTIONS = 12, 5, 4
 _MOST_DISTORTED = 0.6  # higher harmonics that come around as a share of the first
-_CORRECTIONS, _FAINT = (3, 1), 0.4  # of the higher harmonics; a loop gain below this, or above its inverse, needs none
+_CORRECTIONS, _FAINT = (
+    (3, 1, 1),
+    0.4,
+)  # of the higher harmonics; a loop gain below this, or above its inverse, needs none
 _LONGEST_DELAY = 200
 _FASTEST = 2.0 * math.pi / 9.0  # of a cycle [rad per sample], from drawn devices: lab/benchmarks/limit_cycles.py
 
@@ -123,9 +126,7 @@ class PidLoop:
     @cached_property
     def _amplitudes(self) -> Vec:
         return (
-            0.5
-            * (self.limits.upper - self.limits.lower)
-            * np.geomspace(_SMALLEST, 1.0, _AMPLITUDES[self.model.parts is None])
+            0.5 * (self.limits.upper - self.limits.lower) * np.geomspace(_SMALLEST, 1.0, _AMPLITUDES[self.model.effort])
         )
 
     @cached_property
@@ -144,7 +145,7 @@ class PidLoop:
         dt, errors = self.model.predictor.dt, np.abs(response) * amplitudes
         first = response * controller_response(self.gains, dt, omega, errors, self.delay_samples)
         whole = first
-        for _ in range(_CORRECTIONS[self.model.parts is None]):
+        for _ in range(_CORRECTIONS[self.model.effort]):
             crossings = np.array([_crossing(whole[:, k], omega) for k in range(amplitudes.size)])
             far = np.flatnonzero((crossings[:, 0] > _FAINT) & (crossings[:, 0] < 1.0 / _FAINT))
             if not far.size:
@@ -171,7 +172,7 @@ class PidLoop:
     def _refined(self, below: float, above: float, grows_below: bool) -> LimitCycle | None:
         """Limit cycle between two amplitudes, by bisection; None for one slower than all frequencies."""
         loop: Complex = np.empty(0, dtype=np.complex128)
-        for _ in range(_BISECTIONS[self.model.parts is None]):
+        for _ in range(_BISECTIONS[self.model.effort]):
             middle = np.array([math.sqrt(below * above)])
             loop = self.loop(middle, self.model.response(middle))[:, 0]
             below, above = (float(middle[0]), above) if _encircles(loop) == grows_below else (below, float(middle[0]))

@@ -28,7 +28,7 @@ from ..operators.static_curves import Deadband, Line
 Complex = NDArray[np.complex128]
 O = TypeVar("O", bound=Operator)  # noqa: E741 - an operator
 
-_SETTLED = 1e-10  # change of the first harmonic from one cycle to the next, as a share of it
+_SETTLED = 1e-10, 1e-4  # change of the first harmonic from cycle to cycle, as a share of it: of operators, others
 _CYCLES = 2, 256  # driven at first, and at most
 _SHORTEST = 3  # samples of a period
 _LONGEST = 6000  # samples of a transient of a network: the memory of a roll-out grows with its square
@@ -74,7 +74,8 @@ def settled_cycle(predictor: Predictor, centre: float, amplitudes: Vec, samples:
             f"periods, expected amplitudes above 0 and at least {_SHORTEST} samples a period"
         )
     start, (cycles, most) = predictor.initial(0.0, centre), _CYCLES
-    longest = _AT_ONCE if isinstance(predictor, InvertiblePredictor) else _LONGEST
+    exact = isinstance(predictor, InvertiblePredictor)
+    longest, close = (_AT_ONCE, _SETTLED[0]) if exact else (_LONGEST, _SETTLED[1])
     most = max(min(most, longest // samples), 2 * cycles)
     while True:
         turn = 2.0 * np.pi * periods * np.arange(cycles * samples) / samples
@@ -84,7 +85,7 @@ def settled_cycle(predictor: Predictor, centre: float, amplitudes: Vec, samples:
         wave = np.exp(-1j * turn[:samples])
         first, earlier = last @ wave, before @ wave
         floor = np.finfo(float).eps * samples * (1.0 + np.abs(last).max(axis=1))
-        settled = np.abs(first - earlier) <= _SETTLED * np.abs(first) + floor
+        settled = np.abs(first - earlier) <= close * np.abs(first) + floor
         if np.all(settled) or cycles >= most:
             break
         cycles *= 2

@@ -16,9 +16,9 @@ from ..operators.operator import Operator
 from .describing import Complex, closed_form, settled_cycle, whole_cycle
 from .systems import linear_part
 
-_SAMPLED = 2000.0, 2.0 + 1e-9  # most and least samples a period of the closed form
-_DRIVEN = 400.0, 3.02  # the same of settled cycles, whose time grows with their length
-_FREQUENCIES = 400, 40
+_LENGTHS = (2000.0, 2.0 + 1e-9), (400.0, 3.02), (120.0, 3.02)
+"""Most and least samples a period: with a closed form, of operators, of a network, whose roll-outs take long."""
+_FREQUENCIES = 400, 40, 24
 _PERIODS = 3  # of a cycle, so that short periods are no whole numbers of samples
 
 
@@ -41,11 +41,20 @@ class HarmonicModel:
     operators: Sequence[Operator]
     centre: float
 
+    @property
+    def effort(self) -> int:
+        """0 with a closed form, 1 of other operators, 2 of a network: what one value costs."""
+        return 0 if self.parts is not None else 1 if self.operators else 2
+
+    @property
+    def slowest_s(self) -> float:
+        """Longest period that is seen [s]."""
+        return _LENGTHS[self.effort][0] * self.predictor.dt
+
     @cached_property
     def frequencies(self) -> Vec:
         """Frequencies (F,) [rad/s] over which a loop is evaluated, rising."""
-        driven = self.parts is None
-        lengths = np.geomspace(*(_DRIVEN if driven else _SAMPLED), _FREQUENCIES[driven])
+        lengths = np.geomspace(*_LENGTHS[self.effort], _FREQUENCIES[self.effort])
         if self.parts is not None:
             return np.asarray(2.0 * np.pi / (lengths * self.predictor.dt))
         cycles = dict.fromkeys(whole_cycle(2.0 * np.pi / length, _PERIODS) for length in lengths)
@@ -53,7 +62,17 @@ class HarmonicModel:
         return np.array(turns) / self.predictor.dt
 
     def response(self, amplitudes: Vec) -> Complex:
-        """N (F, A) at the frequencies for amplitudes of the command (A,)."""
+        """N (F, A) at the frequencies for amplitudes of the command (A,); loops around one model share it."""
+        key = amplitudes.tobytes()
+        if key not in self._known:
+            self._known[key] = self._response(amplitudes)
+        return self._known[key]
+
+    @cached_property
+    def _known(self) -> dict[bytes, Complex]:
+        return {}
+
+    def _response(self, amplitudes: Vec) -> Complex:
         if self.parts is None:
             dt, at = self.predictor.dt, self.centre
             cycles = [whole_cycle(omega * dt, _PERIODS) for omega in self.frequencies]
