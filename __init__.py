@@ -9,6 +9,7 @@ All public functions are here and are imported on first use:
     model = hystmpc.fit("pi", trials)                          # identify a hysteresis model
     hystmpc.evaluate(model, trials).plot()                     # free run against the measurement
     hystmpc.export(model, "plant.onnx")                        # one stateful step, checked numerically
+    hystmpc.analyse("examples/tip.yaml")                       # margins and limit cycles before anything moves
     hystmpc.simulate("examples/simulate_builtin.yaml")         # controllers in closed loop on a simulated device
     hystmpc.diagnose("logs", "plant.yaml")                     # where simulator and device disagree, and why
     hystmpc.TipController.from_config("examples/tip.yaml")     # the controller behind the calls of a planner
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from hystmpc.sim.plants.simulated import Effects as Effects
     from hystmpc.sim.plants.simulated import SimulatedPlant as SimulatedPlant
     from hystmpc.sim.study import run_closed_loop as run_closed_loop
+    from hystmpc.tasks.analyse import analyse as analyse
     from hystmpc.tasks.check import check as check
     from hystmpc.tasks.device import commission as commission
     from hystmpc.tasks.device import investigate as investigate
@@ -77,6 +79,7 @@ if not TYPE_CHECKING:  # a type checker knows the names above and no others
         ("hystmpc.models.simulator", "Simulator"),
         ("hystmpc.sim.study", "run_closed_loop"),
         ("hystmpc.sim.plants.simulated", "Effects SimulatedPlant"),
+        ("hystmpc.tasks.analyse", "analyse"),
         ("hystmpc.tasks.check", "check"),
         ("hystmpc.tasks.device", "commission investigate"),
         ("hystmpc.tasks.diagnose", "diagnose"),

@@ -11,8 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from hystmpc.ctrl.command import CommandLimits
-from hystmpc.ctrl.feedback import InversePidControllerSettings, PidControllerSettings
+from hystmpc.ctrl.command import CommandLimits, attempt
+from hystmpc.ctrl.feedback import InversePidControllerSettings, PidControllerSettings, PidSettings
+from hystmpc.ctrl.linear.analysis import DeviceModel
+from hystmpc.ctrl.linear.design import gains_by_margin
 from hystmpc.ctrl.planner.reach import angles_at_rest
 from hystmpc.ctrl.planner.settings import TipSettings, read_settings
 from hystmpc.gap.diagnose import diagnose_trials
@@ -21,6 +23,7 @@ from hystmpc.gap.report.words import closed_sentence, headline, tracking_sentenc
 from hystmpc.models.contract.metadata import DeviceLimits, Range
 from hystmpc.models.kinds.catalogue import chosen_kind
 from hystmpc.models.kinds.kind import FitRequest
+from hystmpc.models.load import load_model
 from hystmpc.models.prediction.build import controller_model
 from hystmpc.models.simulator import load_simulator, save_simulator
 from hystmpc.sim.config import SimulationConfig, TuningSettings
@@ -274,7 +277,12 @@ def make_controllers(
     study = tuning_study(subject, model, reached, sigma_deg, step)
     whole = max(round(subject.block.tune_evaluations * min(1.0, _FULL_HZ / subject.rate_hz)), 24)
     shares = {"pid": whole, "inverse_pid": max(whole // _INVERSE_SHARE, 24)}
-    starts: dict[str, PidLike] = {"pid": PidControllerSettings(), "inverse_pid": InversePidControllerSettings()}
+    starts: dict[str, PidLike] = {
+        "pid": PidControllerSettings(gains=start_gains(model, subject.limits, PidSettings())),
+        "inverse_pid": InversePidControllerSettings(
+            gains=start_gains(model, subject.limits, InversePidControllerSettings().gains)
+        ),
+    }
     tuned = dict[str, PidTuning]()
 
     def named(done: float, total: float, note: str = "", /) -> None:
@@ -296,6 +304,12 @@ def make_controllers(
     return ControllerFiles(
         reached, gains["pid"], tuned["pid"].rmse_deg, gains["inverse_pid"], tuned["inverse_pid"].rmse_deg
     )
+
+
+def start_gains(model: Path, limits: CommandLimits, given: PidSettings) -> PidSettings:
+    """Gains of a phase margin of 60 deg around a model, to begin a search with; `given` where it has none."""
+    device = DeviceModel(load_model(model, "conditioned"), 0.0, 0, 0.5 * (limits.lower + limits.upper))
+    return attempt(lambda: gains_by_margin(device, limits, given))[0] or given
 
 
 def predictive(subject: Subject, pid: Mapping[str, float]) -> dict[str, Any]:

@@ -10,6 +10,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from hystmpc.ctrl.config import AnyControllerSettings
+from hystmpc.ctrl.feedback import InversePidControllerSettings, PidControllerSettings
+from hystmpc.ctrl.linear.report import loops_of
 from hystmpc.gap.report.words import in_words, listed, percent
 from hystmpc.models.evaluate import evaluate
 from hystmpc.models.evaluation_report import free_run_figure
@@ -152,6 +155,13 @@ def _controller(identified: IdentifiedDevice) -> Iterator[Piece]:
             "inverse with PID, tuned on it": _gains(made.inverse_pid, made.inverse_pid_rmse_deg),
         }
     )
+    loops: dict[str, AnyControllerSettings] = {
+        "PID": PidControllerSettings.parse({"gains": dict(made.pid)}),
+        "inverse with PID": InversePidControllerSettings.parse({"gains": dict(made.inverse_pid)}),
+    }
+    model = load_model(identified.model, "conditioned")
+    yield Heading("Loops around the model")
+    yield from loops_of(model, identified.model.name, loops, limits).summary()
 
 
 def _scores(verified: Verification) -> Table:

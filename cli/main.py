@@ -29,6 +29,7 @@ VERBS: Mapping[str, tuple[str, str]] = MappingProxyType(
         "export-c": ("models:export_c", "Export a predictive controller as C99."),
         "export-fmu": ("models:export_fmu", "Export a simulator with its effects as an FMU."),
         "diagnose": ("diagnose:diagnose", "Diagnose the gap between a simulator and its device."),
+        "analyse": ("analyse:analyse", "Predict margins and limit cycles of controllers before the device moves."),
         "simulate": ("simulate:simulate", "Simulate the closed loop; write a run folder and its report."),
         "tune": ("simulate:tune", "Search the settings of a controller on simulated plants."),
         "commission": ("device:commission", "From a device to a verified controller, in five minutes of device time."),

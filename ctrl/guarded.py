@@ -222,6 +222,34 @@ class GuardedController(HoldsAddresses):
             )
         return usable
 
+    def to_control(self, name: str = "controller") -> Any:
+        """System of python-control of a PID, with the engine's own step: limits, dead zone and anti-windup included.
+
+        Inputs `reference_deg` at the end of the sample and `angle_deg`, output `command`; states `integral`, `speed`,
+        `angle_deg`, `command`. At rest they are (command - lower limit, 0, angle, command). `angle_deg` is joined with
+        the output of `LoadedModel.to_control` by its name in `control.interconnect`.
+
+        Args:
+            name: of the system.
+
+        Raises:
+            ControllerError: for any other law: it has no fixed form in so few numbers. `hystmpc analyse` has the linear
+                law of a predictive controller around a resting plan.
+        """
+        from .linear.laws import engine_pid
+
+        if self.problem.fields["law"].fields["kind"] != constants()["HYSTMPC_PID"]:
+            raise ControllerError("to_control: got a law with a model or a plan, expected a pid, which is a fixed law")
+
+        def step(x: Vec, u: Vec) -> tuple[float, Vec]:
+            state = self.init(float(x[2]), self._limits.clip(float(x[3]), float(x[3]), self.dt))
+            head = state.head
+            head.integral, head.speed, head.age = float(x[0]), float(x[1]), 0.0
+            command, after = self.step(state, float(u[1]), np.full(self._horizon, float(u[0])))
+            return command.u, np.array([after.head.integral, after.head.speed, after.head.angle, command.u])
+
+        return engine_pid(step, self.dt, name)
+
     def sigma_deg(self, state: GuardedState) -> float:
         """Standard deviation of the error of the estimated angle [deg]; not-a-number where it is not known."""
         return self._observer.sigma_deg(state.estimate)

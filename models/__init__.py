@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from .effects.place import effect_operator, neutral_operator, with_effect
     from .kinds.catalogue import kind_named
     from .kinds.kind import FitRequest, Identified, ModelKind
+    from .linear.nonlinearities import OperatorNonlinearity, SettledNonlinearity
+    from .linear.systems import from_control
     from .model import Model
     from .operators.operator import Memoryless, Number, Operator, maximum, minimum
 
@@ -29,9 +31,12 @@ __all__ = [
     "ModelKind",
     "Number",
     "Operator",
+    "OperatorNonlinearity",
     "Scale",
+    "SettledNonlinearity",
     "add_effect",
     "effect_operator",
+    "from_control",
     "kind_named",
     "maximum",
     "minimum",
@@ -49,6 +54,8 @@ if not TYPE_CHECKING:
         ("hystmpc.models.effects.place", "effect_operator neutral_operator with_effect"),
         ("hystmpc.models.kinds.catalogue", "kind_named"),
         ("hystmpc.models.kinds.kind", "FitRequest Identified ModelKind"),
+        ("hystmpc.models.linear.nonlinearities", "OperatorNonlinearity SettledNonlinearity"),
+        ("hystmpc.models.linear.systems", "from_control"),
         ("hystmpc.models.model", "Model"),
         ("hystmpc.models.operators.operator", "Memoryless Number Operator maximum minimum"),
     )

@@ -13,11 +13,11 @@ import numpy as np
 from hystmpc.trials.errors import ModelError, did_you_mean
 
 from .effects.catalogue import added_operators
-from .operators.dynamics import Delay, Lag, RateLimit, Servo
+from .operators.dynamics import Delay, Lag, LinearDynamics, RateLimit, Servo
 from .operators.operator import Operator, Parameter, shipped_operators
 from .program import dense
 
-DYNAMICS = (Delay, Lag, Servo, RateLimit)
+DYNAMICS = (Delay, Lag, Servo, LinearDynamics, RateLimit)
 """Operators that are not inverted sample by sample: that would amplify every deviation."""
 
 

@@ -6,7 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import cached_property
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -17,6 +17,9 @@ from hystmpc.trials.types import Vec
 from .contract.metadata import ModelMetadata, NoiseModel, Start
 from .python_methods import PythonMethods
 from .rest import RestRule
+
+if TYPE_CHECKING:
+    from .operators.operator import Operator
 
 _SETTLING_S = 2.0  # [s], many times the lag of any catheter drive
 
@@ -123,6 +126,36 @@ class LoadedModel(ABC):
             angle, states = self.advance(states, commands[:, k : k + 1])
             theta[:, k] = angle[:, 0]
         return theta, np.asarray(states, dtype=np.float64)
+
+    def to_control(self, name: str = "device") -> Any:
+        """System of python-control in discrete time, with the exact step of this model.
+
+            [x, theta]_{k+1} = [g(x_k, u_k), f(x_k, u_k)],   y_k = theta_k
+
+        Input `command_UNIT`, output `angle_UNIT`; the states are those of `resting_x`. A chain with linear drives is an
+        `InterconnectedSystem`: each linear operator is a `StateSpace` block of it, see its `syslist`.
+
+        A play at its edge has one slope where the command goes on and another where it turns. `control.linearize` has
+        to be given `params={"branch": 1}` where the command rises from the operating point, -1 where it falls; with
+        the default 0 a numeric linearisation at an edge mixes both. Do not simulate with another value than 0: it moves
+        the command by 1e-4 of its range.
+
+        Args:
+            name: of the system.
+        """
+        from .linear.systems import control_system
+
+        return control_system(self, name, self.operators)
+
+    @property
+    def operators(self) -> tuple[Operator, ...]:
+        """Operators in series that are the whole model; none of a network."""
+        return ()
+
+    def resting_x(self, theta_deg: float, command: float) -> Vec:
+        """State x (S + 1,) of `to_control` of a device at rest at an angle [deg] under a command."""
+        state = self.at_rest(theta_deg, command)
+        return np.append(state, self.advance(state[None], np.array([[command]]))[0])
 
     def step(self, x: Vec, u: Vec) -> Vec:
         """State x (N, S + 1) one sample later under commands `u` (N, 1) [command unit]."""

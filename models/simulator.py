@@ -31,6 +31,7 @@ from .contract.metadata import (
 )
 from .model import LoadedModel, StepFunction
 from .motions import probe_commands
+from .operators.operator import Operator
 from .program import dense
 from .rest import RestRule
 from .stages import prepared
@@ -172,6 +173,10 @@ class Simulator:
         """Write the simulator file (`.yaml`), whole or not at all."""
         return save_simulator(self, path)
 
+    def to_control(self, name: str = "device") -> Any:
+        """System of python-control in discrete time, see `LoadedModel.to_control`."""
+        return ChainModel(self).to_control(name)
+
     def metadata(self) -> ModelMetadata:
         """Metadata of the model contract; a fresh and a conditioned device start by the same rule.
 
@@ -270,6 +275,10 @@ class ChainModel(LoadedModel, StepFunction):
         self._rest = RestRule(self.metadata, start, simulator.chain)
         self._run = prepared(simulator.chain.operators, simulator.dt_s)
         self._step = simulator.chain.bound(simulator.dt_s)
+
+    @property
+    def operators(self) -> tuple[Operator, ...]:
+        return self.simulator.chain.operators
 
     def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
         return self._run.run(state, u)

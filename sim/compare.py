@@ -12,14 +12,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from hystmpc.ctrl.analysis import LoopAnalysis, analyse_pid
-from hystmpc.ctrl.estimation.observer import EstimatorSettings
 from hystmpc.ctrl.feedback import InversePidControllerSettings, PidControllerSettings
-from hystmpc.models.inverse.drive import Drive
+from hystmpc.ctrl.linear.report import loops_of
 from hystmpc.models.load import load_model, model_path
-from hystmpc.models.model import Predictor
-from hystmpc.models.operators.dynamics import Lag
-from hystmpc.models.prediction.build import SeriesPredictor, predictor_for
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.figures import LIMIT_LOOK, LoopPanel, loop_figure
@@ -315,45 +310,23 @@ def _metrics_table(runs: tuple[Result, ...], unit: str) -> Table:
 
 
 def _stability(result: StudyResult) -> Iterator[Piece]:
-    """Limit cycles of every loop with a PID, predicted by the describing function of the identified model."""
-    config, unit = result.config, result.unit
-    loops = {name: config.controllers[name] for name in result.controllers}
-    known = [s.resolved().estimator for s in loops.values()]
-    delay = max((e.delay_samples for e in known if isinstance(e, EstimatorSettings)), default=0)
-    with_gains = {name: s for name, s in loops.items() if isinstance(s, _WITH_GAINS)}
-    if not with_gains:
+    """Margins and limit cycles of every loop with a PID around the identified model."""
+    config = result.config
+    loops = {n: config.controllers[n] for n in result.controllers if isinstance(config.controllers[n], _WITH_GAINS)}
+    if not loops:
         return
-    yield Heading("Limit cycles of the PID loops")
+    yield Heading("PID loops, as predicted")
     if config.sensor.kind != "continuous":
         yield Paragraph(f"Not analysed: the sensor is {config.sensor.kind}, expected continuous.")
         return
     try:
-        model = _identified(result)
+        model = load_model(model_path(config.model), start="conditioned")
     except ModelError as error:
         yield Paragraph(f"Not analysed: {error}")
         return
-    analyses = [(name, analyse_pid(model, s.gains, limits_of(config, name), delay)) for name, s in with_gains.items()]
-    columns = ("controller", "prediction", "frequency [Hz]", "angle [deg]", f"command [{unit}]", "greatest loop gain")
-    caption = (
-        "By harmonic balance of the controller with the describing function of the identified model, the lag and delay "
-        "that controllers are told of included; amplitudes about the middle of the command. Below a loop gain of 1 at "
-        "-180 degrees nothing oscillates; near 1 the method is uncertain."
-    )
-    yield Table(columns, [_loop_row(name, analysis) for name, analysis in analyses], caption)
-
-
-def _identified(result: StudyResult) -> Predictor:
-    """Model of the controllers, behind the actuator lag of the study."""
-    opened = load_model(model_path(result.config.model), start="conditioned")
-    model = predictor_for(opened)
-    lag = result.config.actuator_lag_s
-    return SeriesPredictor(Drive((Lag(lag),), opened.metadata), model) if lag > 0 else model
-
-
-def _loop_row(name: str, analysis: LoopAnalysis) -> tuple[object, ...]:
-    cycle = analysis.cycle
-    values = ("none",) * 3 if cycle is None else (cycle.frequency_hz, cycle.angle_deg, cycle.command)
-    return name, str(analysis), *values, analysis.gain
+    yield from loops_of(
+        model, config.model, loops, limits_of(config, next(iter(loops))), config.actuator_lag_s
+    ).summary()
 
 
 def _timing(result: StudyResult, colour: dict[str, str]) -> Iterator[Piece]:

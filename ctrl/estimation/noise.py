@@ -119,6 +119,18 @@ class NoiseBank:
         self._logs = np.log(np.maximum(grid**2, _TINY))
         self.size = grid.shape[1]
 
+    @property
+    def greatest_gain(self) -> float:
+        """Greatest settled gain K of a disturbance by a measurement in a hold: the bound, or that of given sigmas.
+
+        Of given sigmas it is the Kalman gain, K = P / (P + r) with P = (q + (q^2 + 4 q r)^(1/2)) / 2.
+        """
+        if self.size > 1:
+            return self._most
+        r, q = float(self._sensor[0]), float(self._drift[0])
+        root = math.sqrt(q * q + 4.0 * q * r)
+        return (q + root) / (q + root + 2.0 * r)
+
     def _tables(self) -> Mapping[str, Vec]:
         """Tables of `hystmpc_noise` in core/estimator.h."""
         _, drifts, motions = self._counts

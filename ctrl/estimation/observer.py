@@ -133,6 +133,11 @@ class Observer:
         self.places = Places(states, angles, 0 if bank is None else bank.size)
 
     @property
+    def greatest_gain(self) -> float:
+        """Greatest settled gain of the disturbance by a measurement, see `NoiseBank`; 0 without a bank."""
+        return 0.0 if self._bank is None else self._bank.greatest_gain
+
+    @property
     def has_model(self) -> bool:
         """Whether it advances a model."""
         return self._predictor is not None

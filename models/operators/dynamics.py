@@ -1,13 +1,14 @@
-"""Linear dynamics of an actuator, valve or sensor (lag, servo, delay), and the rate limit."""
+"""Linear dynamics of an actuator, valve or sensor (lag, servo, delay, any other), and the rate limit."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Self, final
+from typing import Annotated, Any, ClassVar, Self, final
 
 import casadi as ca
+import numpy as np
 
 from hystmpc.trials.errors import ModelError
 
@@ -208,6 +209,106 @@ class Delay(Operator):
     @property
     def settling_samples(self) -> int:
         return self.samples
+
+
+@final
+@dataclass(frozen=True)
+class LinearDynamics(Operator):
+    """Stable linear system of order n and static gain 1, given by its transfer function in z at one sample time.
+
+    w_k = u_k - sum_i a_i w_{k-i},  y_k = sum_i b_i w_{k-i} + b_0 w_k,  i = 1..n
+
+    y_k counts at the end of the sample in which u_k acts. Made from a system of python-control by `from_control`.
+
+    Attributes:
+        denominator: a_1..a_n of 1 + a_1 z^-1 + ...
+        numerator: b_0..b_n; their sum is 1 + sum_i a_i.
+
+    Raises:
+        ModelError: on another number of coefficients, or another static gain; by `resampled`, where the system is none
+            of an input in steps, as one with a pole at zero or on the negative axis.
+
+    Source: Franklin, Powell, Workman, Digital Control of Dynamic Systems (3rd ed., 1998), section 4.2.
+    """
+
+    denominator: tuple[float, ...]
+    numerator: tuple[float, ...]
+    name: ClassVar[str] = "linear_dynamics"
+    shape: ClassVar[tuple[str, ...]] = ("order",)
+    size_limits: ClassVar[Mapping[str, tuple[int, int]]] = {"order": (1, 50)}
+
+    def check_sizes(self) -> None:
+        if len(self.numerator) != self.order + 1 or not self.order:
+            raise ModelError(
+                f"linear_dynamics: {len(self.numerator)} numbers of the numerator, {self.order} of the denominator, "
+                "expected n + 1 and n, at least 1"
+            )
+        below, above = 1.0 + sum(self.denominator), sum(self.numerator)
+        if not abs(above - below) <= _GAIN_ROUNDING * abs(below):
+            raise ModelError(f"linear_dynamics: got a static gain of {above:.6g} / {below:.6g}, expected 1")
+
+    @classmethod
+    def template(cls, **structure: int) -> Self:
+        order = structure["order"]
+        return cls((0.0,) * order, (1.0,) + (0.0,) * order)
+
+    @property
+    def order(self) -> int:
+        """Order n."""
+        return len(self.denominator)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (
+            *(Parameter(f"a{i}", "1", -1e6, 1e6, f"of z^-{i} below") for i in range(1, self.order + 1)),
+            *(Parameter(f"b{i}", "1", -1e6, 1e6, f"of z^-{i} above") for i in range(self.order + 1)),
+        )
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        return tuple(f"w{i}" for i in range(1, self.order + 1))
+
+    def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
+        del dt
+        n = self.order
+        w = ca.vertcat(u - sum(p[i] * x[i] for i in range(n)), x)
+        return w[:n], sum(p[n + i] * w[i] for i in range(n + 1))
+
+    def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
+        del y
+        return ca.repmat(u / (1 + sum(p[i] for i in range(self.order))), self.order, 1)
+
+    def resampled(self, dt_s: float, was_s: float) -> LinearDynamics:
+        """Operator converted from sample time `was_s` to `dt_s` [s], exact for an input in steps.
+
+        Raises:
+            ModelError: if a pole is zero or on the negative axis.
+        """
+        if dt_s == was_s:
+            return self
+        from scipy.linalg import expm, logm
+
+        n = self.order
+        step = np.zeros((n + 1, n + 1))  # of [w, u]
+        step[0, :n], step[0, n], step[n, n] = -np.array(self.denominator), 1.0, 1.0
+        step[1:n, : n - 1] = np.eye(n - 1)
+        poles = np.linalg.eigvals(step[:n, :n])
+        if np.any((np.abs(poles) < _NO_POLE) | ((np.abs(poles.imag) < _NO_POLE) & (poles.real < 0))):
+            raise ModelError(
+                f"linear_dynamics: got a pole at zero or on the negative axis, made for {was_s:.6g} s; at {dt_s:.6g} s "
+                "no input in steps gives it"
+            )
+        b = np.array(self.numerator)
+        behind = np.linalg.solve(step[:n, :n].T, b[1:] - b[0] * np.array(self.denominator))  # y by the next w
+        rate: Any = logm(step)
+        held = np.real(expm(rate * (dt_s / was_s)))
+        a, by = held[:n, :n], held[:n, n]
+        through, below = b[0] - behind @ step[:n, n] + behind @ by, np.poly(a)
+        above = np.poly(a - np.outer(by, behind @ a)) + (through - 1.0) * below
+        return LinearDynamics(tuple(below[1:].tolist()), tuple(above.tolist()))
+
+
+_GAIN_ROUNDING, _NO_POLE = 1e-6, 1e-9
 
 
 def stored(operators: Sequence[Operator], dt_s: float) -> tuple[Operator, ...]:

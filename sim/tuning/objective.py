@@ -26,6 +26,8 @@ from .settings import ObjectiveSettings, PlantsSettings, TuneSettings
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from hystmpc.ctrl.linear.report import LoopsAnalysis
+
 _RESAMPLES = 4000
 _NAMES = ("given", "tuned")
 State = Literal["done", "pruned", "failed", "elsewhere"]
@@ -66,6 +68,37 @@ def plant_score(config: SimulationConfig) -> PlantScore:
         need += needed_travel(study, motion)
         beyond += metrics.limit_violations
     return PlantScore(math.sqrt(float(np.mean(squares))), travel / max(need, 1e-9), beyond)
+
+
+def loops_around(settings: TuneSettings, controllers: Mapping[str, AnyControllerSettings]) -> LoopsAnalysis:
+    """Analyse controllers around the study's model, without learning from the plants.
+
+    Raises:
+        ModelError: if the model cannot be used.
+        ControllerError: if the settings contradict the model.
+    """
+    from hystmpc.ctrl.command import limits_of_model, modelled_limits
+    from hystmpc.ctrl.linear.report import loops_of
+    from hystmpc.models.load import load_model, model_path
+
+    study = settings.study
+    model = load_model(model_path(study.model), "conditioned")
+    limits = modelled_limits(study.limits, limits_of_model(model.metadata))
+    tolerance = {} if settings.margins is None else {"tolerance_deg": settings.margins.cycle_deg}
+    return loops_of(model, study.model, controllers, limits, study.actuator_lag_s, **tolerance)
+
+
+def margin_penalty(settings: TuneSettings, controller: AnyControllerSettings) -> float:
+    """Penalty of a controller whose loop does not keep `margins` [deg]; 0 without them, and for one not analysed."""
+    wanted = settings.margins
+    if wanted is None:
+        return 0.0
+    (one,) = loops_around(settings, {"tried": controller}).controllers
+    if one.margins is None:
+        return 0.0
+    m = one.margins
+    missed = (not m.stable or m.gain < wanted.gain, not m.stable or m.phase_deg < wanted.phase_deg, one.too_great)
+    return wanted.penalty_deg * sum(missed)
 
 
 def needed_travel(study: Study, motion: str) -> float:

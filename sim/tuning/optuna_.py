@@ -16,7 +16,7 @@ from optuna.trial import FrozenTrial, TrialState
 from hystmpc.trials.errors import ConfigError, HystmpcError
 
 from ..sweep.settings import DrawSettings, label, value_at
-from .objective import SearchTrial, SlotOutcome, State, plant_config, plant_cost, plant_score, robust
+from .objective import SearchTrial, SlotOutcome, State, margin_penalty, plant_config, plant_cost, plant_score, robust
 from .settings import TuneSettings
 
 _HEARTBEAT_S = 5
@@ -124,11 +124,12 @@ def _value(settings: TuneSettings, study: optuna.Study, trial: optuna.Trial, slo
     controller = settings.with_values(values)
     trial.set_user_attr("values", values)
     errors, costs, travels = [], [], []
+    penalty = margin_penalty(settings, controller)
     for number in range(settings.plants.count):
         score = plant_score(plant_config(settings, settings.plants, number, controller))
         errors.append(score.error_deg)
         travels.append(score.travel)
-        costs.append(plant_cost(score, settings.objective))
+        costs.append(plant_cost(score, settings.objective) + penalty)
         trial.report(robust(costs, settings.objective), step=number)
         figures = (robust(errors, settings.objective), float(np.mean(travels)), number + 1)
         for name, figure in zip(_FIGURES, figures, strict=True):

@@ -36,7 +36,7 @@ from hystmpc.trials.types import Progress, parts
 from ..jobs import Backend, run_jobs
 from ..sweep.report import plain_log
 from ..sweep.settings import value_at
-from .objective import SearchTrial, SlotOutcome, Tuning, held_out, pareto_front
+from .objective import SearchTrial, SlotOutcome, Tuning, held_out, loops_around, pareto_front
 from .settings import TuneSettings
 
 _REPORT_RUNS = 4  # runs of a plant that take as long as the report
@@ -187,6 +187,8 @@ def tuning_report(tuning: Tuning, meta: Mapping[str, Any]) -> Report:
         Heading("By setting"),
         Plot(_slices(tuning), "Objective over every searched setting; vertical: the setting taken."),
     ]
+    given, tuned = settings.given, settings.with_values(dict(tuning.best.values))
+    pieces += [Heading("Loops around the model"), *loops_around(settings, {"given": given, "tuned": tuned}).summary()]
     if tuning.failed:
         rows = [(outcome.slot, outcome.message) for outcome in tuning.failed]
         pieces.append(Table(("trial", "error"), rows, "Trials that raised; the same command tries them again."))

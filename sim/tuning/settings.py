@@ -103,6 +103,22 @@ class ObjectiveSettings(Settings):
         return self
 
 
+class MarginsSettings(Settings):
+    """Block `margins`: what every point of the search has to keep around the study's model, see `hystmpc analyse`.
+
+    Attributes:
+        gain: least gain margin, a factor.
+        phase_deg: least phase margin.
+        cycle_deg: greatest predicted oscillation.
+        penalty_deg: added to the error for each of the three that is not kept.
+    """
+
+    gain: Annotated[float, Field(ge=1)] = 2.0
+    phase_deg: NotNegative = 45.0
+    cycle_deg: NotNegative = 0.5
+    penalty_deg: NotNegative = 10.0
+
+
 class TuneSettings(Settings):
     """Settings of a tuning.
 
@@ -116,6 +132,7 @@ class TuneSettings(Settings):
         pruner: rule that ends a trial before it has run on all plants.
         plants: of the search.
         objective: weights of the cost.
+        margins: constraints on the loop around the model; null for none.
         seed: of the search.
     """
 
@@ -126,6 +143,7 @@ class TuneSettings(Settings):
     plants: PlantsSettings = PlantsSettings(count=10, seed=1)
     held_out: PlantsSettings = PlantsSettings(count=20, seed=2)
     objective: ObjectiveSettings = ObjectiveSettings()
+    margins: MarginsSettings | None = None
     trials: Count = 60
     pruner: Literal["median", "hyperband", "none"] = "median"
     seed: NotNegativeInt = 0
@@ -149,7 +167,8 @@ class TuneSettings(Settings):
     @property
     def fingerprint(self) -> str:
         """Hash of everything but the number of trials, which may grow; 12 hexadecimal digits."""
-        return json_hash(self.model_dump(mode="json", exclude={"trials", "held_out"}))[:12]
+        left_out = {"trials", "held_out", *(("margins",) if self.margins is None else ())}
+        return json_hash(self.model_dump(mode="json", exclude=left_out))[:12]
 
     @property
     def search_name(self) -> str:

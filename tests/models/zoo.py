@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
-from hystmpc.models.operators.dynamics import Delay, Lag, RateLimit, Servo
+from hystmpc.models.operators.dynamics import Delay, Lag, LinearDynamics, RateLimit, Servo
 from hystmpc.models.operators.friction import (
     Asymmetry,
     DahlDrag,
@@ -54,6 +54,7 @@ RATE_SLIDERS = MaxwellSlip(-0.5, (6.0, 3.0, 2.0), 0.15, 0.02, 40.0, (0.3, 0.4, 2
 # Every operator of the catalogue appears at least once; a test holds this list against the catalogue.
 EXAMPLES: tuple[Operator, ...] = (
     Line(10.0, 5.0),
+    LinearDynamics((-1.1, 0.3), (0.3, -0.1, 0.0)),
     Play(0.4),
     Stop(0.4),
     SLIDERS,

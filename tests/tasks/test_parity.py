@@ -87,6 +87,7 @@ SAME: dict[str, tuple[str, Call]] = {
         "diagnose trial_0.csv trial_1.csv trial_2.csv --sim sim.yaml --out d --only lag --only delay --ordered",
         lambda: hystmpc.diagnose(LOGS, "sim.yaml", "d", only=("lag", "delay"), ordered=True),
     ),
+    "analyse": ("analyse tip.yaml --out a", lambda: hystmpc.analyse("tip.yaml", "a")),
     "simulate": (
         "simulate study.yaml --out run --set plant.lag_s=0.05 --controller second=pid.yaml",
         lambda: hystmpc.simulate(
@@ -104,6 +105,9 @@ SAME: dict[str, tuple[str, Call]] = {
 SLOW = {"diagnose", "simulate", "sweep", "tune", "report", "commission", "export-fmu", "fit", "fit to ONNX", "evaluate"}
 EXTRAS = {"tune": "optuna"}
 REFUSED: tuple[tuple[str, Call], ...] = (
+    ("analyse trial_0.csv", lambda: hystmpc.analyse("trial_0.csv")),
+    ("analyse sweep.yaml", lambda: hystmpc.analyse("sweep.yaml")),
+    ("analyse tip.yaml --command 99", lambda: hystmpc.analyse("tip.yaml", command=99.0)),
     ("check missing.csv", lambda: hystmpc.check("missing.csv")),
     ("check trial_0.csv --sim trial_0.csv", lambda: hystmpc.check(LOGS[0], simulator=LOGS[0])),
     ("fit pj trial_0.csv --out m.yaml", lambda: hystmpc.fit("pj", LOGS[0], "m.yaml")),

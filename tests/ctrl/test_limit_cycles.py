@@ -1,25 +1,28 @@
-"""Describing functions against the library's, and predicted limit cycles against simulated ones."""
+"""Predicted limit cycles and delay margins of PID loops against simulated ones."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
-from hystmpc.ctrl.analysis import LoopAnalysis, analyse_pid, describing_function
 from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.feedback import InversePidControllerSettings, PidControllerSettings, PidSettings
+from hystmpc.ctrl.linear.limit_cycles import LoopAnalysis, PidLoop, analyse_pid
 from hystmpc.ctrl.loop import LoopLog, run_loop
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
+from hystmpc.models.linear.harmonic import HarmonicModel
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.models.operators import dynamics as operators
 from hystmpc.models.operators.hysteresis import Backlash
+from hystmpc.models.operators.operator import Operator
+from hystmpc.models.operators.static_curves import Line
 from hystmpc.models.prediction.build import controller_model
 from hystmpc.models.simulator import ChainModel, Identification, Simulator
-from hystmpc.trials.errors import ControllerError
 
 from .plays import DT, Lag, ModelPlant
 
@@ -27,12 +30,10 @@ LIMITS = CommandLimits(0.0, 6.0, 100.0)
 SLOPE, HALF_WIDTH = 10.0, 0.2
 
 
-@cache
-def backlash(lag_s: float) -> tuple[Predictor, Inverse]:
-    """A symmetrical backlash behind a lag, compiled."""
-    operator = Backlash(SLOPE, SLOPE, 2.2 + HALF_WIDTH, 2.2 - HALF_WIDTH)
-    simulator = Simulator(
-        chain=Chain(operator),
+def compiled_of(*parts: Operator) -> Simulator:
+    """Simulator of operators in series, the last one the core."""
+    return Simulator(
+        chain=Chain(parts[-1], parts[:-1]),
         dt_s=DT,
         command_unit="mm",
         command_limits=Range(lower=0.0, upper=6.0),
@@ -42,25 +43,14 @@ def backlash(lag_s: float) -> tuple[Predictor, Inverse]:
         trained_rate_per_s=12.0,
         identification=Identification(method="chosen by hand"),
     )
+
+
+@cache
+def backlash(lag_s: float) -> tuple[Predictor, Inverse]:
+    """A symmetrical backlash behind a lag, compiled."""
+    simulator = compiled_of(Backlash(SLOPE, SLOPE, 2.2 + HALF_WIDTH, 2.2 - HALF_WIDTH))
     known = controller_model(ChainModel(simulator))
     return known.behind((operators.Lag(lag_s),), simulator.metadata()).predictive if lag_s else known.predictive
-
-
-def test_describing_function_is_that_of_control() -> None:
-    from control import friction_backlash_nonlinearity
-
-    amplitudes = np.array([0.1, 0.25, 0.5, 1.0, 2.5])
-    library = friction_backlash_nonlinearity(2.0 * HALF_WIDTH)
-    ours = describing_function(backlash(0.0)[0], 3.0, amplitudes, 400)
-    wanted = [SLOPE * library.describing_function(a) for a in amplitudes]
-    np.testing.assert_allclose(ours, wanted, atol=2e-3)
-
-
-def test_describing_function_of_a_linear_model_is_its_frequency_response() -> None:
-    model, samples = Lag(a=0.6, g=10.0), 50
-    z = np.exp(2j * np.pi / samples)
-    expected = (1 - model.a) * model.g / (1 - model.a / z)
-    np.testing.assert_allclose(describing_function(model, 1.0, np.array([0.1, 2.0]), samples), expected, rtol=1e-6)
 
 
 def simulated(kind: str, lag_s: float, kp: float, ki: float, dead_zone: float) -> LoopLog:
@@ -121,6 +111,55 @@ def test_a_loop_that_is_unstable_without_backlash_grows_to_the_limits() -> None:
     assert (found.cycle, found.diverges) == (None, True)
 
 
-def test_impossible_questions_are_refused() -> None:
-    with pytest.raises(ControllerError, match="describing function: got"):
-        describing_function(Lag(), 1.0, np.array([0.0]), 10)
+def loop(*operators: Operator, kp: float, ki: float, dead_zone: float = 0.0, delay: int = 0) -> PidLoop:
+    """Loop of a PID around operators in series, the last one the core, at 3 mm."""
+    simulator = compiled_of(*operators)
+    gains = PidSettings(kp_per_deg=kp, ki_per_deg_s=ki, dead_zone_deg=dead_zone)
+    predictor = controller_model(ChainModel(simulator)).predictive[0]
+    return PidLoop(HarmonicModel(predictor, simulator.chain.operators, 3.0), gains, LIMITS, delay)
+
+
+def test_without_hysteresis_it_is_the_linear_stability_of_the_library() -> None:
+    """The loop is stable as long as all poles of python-control's closed loop lie within the unit circle."""
+    import control
+
+    lag, gain = 0.1, 10.0
+    left, kp, ki = np.exp(-DT / lag), 0.02, 0.8
+    plant = control.tf([gain * (1.0 - left)], [1.0, -left], DT)
+    pid = control.tf([kp, ki * DT - kp], [1.0, -1.0], DT)
+    margins = []
+    for delay in range(12):
+        poles = control.feedback(plant * pid * control.tf([1.0], [1.0] + [0.0] * delay, DT), 1).poles()
+        stable = bool(np.all(np.abs(poles) < 1.0))
+        found = loop(operators.Lag(lag), Line(gain, 0.0), kp=kp, ki=ki, delay=delay).analyse()
+        assert found.oscillates is not stable
+        margins += [delay] if stable else []
+    assert loop(operators.Lag(lag), Line(gain, 0.0), kp=kp, ki=ki).delay_margin() == margins[-1]
+
+
+@pytest.mark.parametrize("ki", [0.3, 1.5, 2.5])
+def test_closed_form_and_settled_cycles_predict_the_same(ki: float) -> None:
+    exact = loop(operators.Lag(0.2), Backlash(SLOPE, SLOPE, 2.4, 2.0), kp=0.02, ki=ki)
+    driven = replace(exact, model=replace(exact.model, operators=()))
+    one, two = exact.analyse(), driven.analyse()
+    assert (one.cycle is None, one.diverges) == (two.cycle is None, two.diverges)
+    assert one.gain == pytest.approx(two.gain, rel=0.2)
+    if one.cycle and two.cycle:
+        assert two.cycle.angle_deg == pytest.approx(one.cycle.angle_deg, rel=0.1)
+        assert two.cycle.frequency_hz == pytest.approx(one.cycle.frequency_hz, rel=0.05)
+
+
+def test_an_unstable_limit_cycle_lies_below_a_stable_one() -> None:
+    """From below it the oscillation decays: the balance is crossed the other way."""
+    found = loop(operators.Lag(0.2), Backlash(SLOPE, SLOPE, 2.4, 2.0), kp=0.02, ki=1.5).analyse()
+    assert [cycle.stable for cycle in found.cycles] == [False, True]
+    assert found.cycle is not None
+    assert 0.0 < found.starts_at < found.cycle.command
+
+
+def test_what_the_method_leaves_out_is_a_doubt() -> None:
+    found = loop(operators.Lag(0.1), Backlash(SLOPE, SLOPE, 2.4, 2.0), kp=0.02, ki=2.5)
+    slow = replace(found, limits=replace(LIMITS, rate=5.0)).analyse().cycle
+    assert slow is not None
+    assert "the rate limit acts" in slow.doubts
+    assert "doubtful: " in str(replace(found, limits=replace(LIMITS, rate=5.0)).analyse())

@@ -1,0 +1,1 @@
+"""Linear analysis of loops: controllers as systems of python-control, margins, limit cycles."""
