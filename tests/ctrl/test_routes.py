@@ -70,6 +70,6 @@ def test_two_routes_give_one_command(kind: str, blocks: tuple[int, ...] | None) 
     np.testing.assert_allclose(theirs, ours, rtol=0, atol=4 * TOLERANCE[kind] if kind in TOLERANCE else 1e-6)
 
 
-# Networks run in single precision: 1e-7 of 85 deg over 10 deg/mm, amplified by the weight of an error against a move. In
-# a command it is amplified once more, by the second linearisation of a plan on a close model.
+# Networks run in single precision: 1e-7 of 85 deg over 10 deg/mm, amplified by the weight of an error against a move.
+# In a command it is amplified once more, by the second linearisation of a plan on a close model.
 TOLERANCE = dict.fromkeys(("lstm", "gru", "hb1", "hb2", "fnn", "fnn_hib", "svr"), 5e-6)
