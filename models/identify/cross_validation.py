@@ -143,11 +143,15 @@ class InParts:
         held_out: of errors on parts of all trials, fitted to the other parts (B,) [deg^2].
         quick: of whitened errors of a fit to all trials (B,) [deg^2].
         free: free parameters of the effect in that fit.
+        floor_mse: error of sensor noise and model form [deg^2].
+        form_share: part of it that is of the model form.
     """
 
     held_out: Vec
     quick: Vec
     free: int
+    floor_mse: float = 0.0
+    form_share: float = 0.0
 
     @property
     def expected(self) -> float:
