@@ -97,7 +97,9 @@ def attribute(
     without = (*left_out, "trial_shift") if _within_a_step(prepared, retuned) else tuple(left_out)
     if prepared.checked.unrelated:  # nothing to explain: only the baseline is evaluated
         library, without = (), (*left_out, *OF_SINGLE_TRIALS)
-    selection = select(validation, library, SelectionSettings(), floor_mse, without, advance, prepared.excess_mse)
+    form_share = 1 - noise_mse / floor_mse if prepared.form_mse and floor_mse else 0.0
+    faults_mse = prepared.excess_mse
+    selection = select(validation, library, SelectionSettings(), floor_mse, without, advance, faults_mse, form_share)
     baseline, grown = selection.baseline, width_grown(selection.chosen.hypothesis)
     step_mse = prepared.signs.quantisation_deg**2 / 12.0
     retuning = Retuning() if unusable else retuning_of(prepared, retuned, baseline.mse)

@@ -73,7 +73,7 @@ def detectable_sizes(baseline: Baseline, runs: Sequence[Run], needed_mse: float)
     known = np.linalg.qr(np.concatenate(slopes))[0]
     angles = np.concatenate(nominal)
     shown = [replace(run, angle=theta) for run, theta in zip(runs, nominal, strict=True)]
-    scale = replace(Scale.of(shown), resting=1.0, fastest=math.inf)
+    scale = replace(Scale.of(shown), fastest=math.inf)
     kept = 1.0 - 1.0 / len(runs)  # of shifts between trials the common one is an offset
     shift = math.sqrt(needed_mse / kept) if kept else math.inf
     sizes = {

@@ -19,7 +19,7 @@ from hystmpc.models.identify.baseline import (
     FreeCoreBaseline,
     ScaledBaseline,
     baseline_of,
-    with_friction_at_rest,
+    with_play_friction,
 )
 from hystmpc.models.identify.cross_validation import Hypothesis, fit_problem
 from hystmpc.models.identify.free_run import StagedChain
@@ -210,7 +210,7 @@ def _baseline_and_runs(
     played = decades.trials([as_simulated(t) for t in checked.trials]) if have_simulated(checked.trials) else None
     if isinstance(simulator, Simulator):
         simulator_chain, chain = (decades.chain(s.chain) for s in (simulator, simulator.at_sample_time(checked.dt)))
-        baseline = baseline_of(with_friction_at_rest(chain, command), command)
+        baseline = baseline_of(with_play_friction(chain, command), command)
         starts = starts_at_simulator_rate([repaired(trial, signs) for trial in given], simulator.dt_s, checked.dt)
         runs = _with_starts(baseline, runs_of(repaired_trials, None, before, starts), simulator, decades)
         if played is None:

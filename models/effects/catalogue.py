@@ -25,7 +25,6 @@ from ..operators.static_curves import Contact, NonlinearGain, Slack
 from .effect import CORE, Candidate, Effect, Freedom, Scale, Side, base_name
 
 LONGEST_DELAY_S = 0.4
-_LEAST_REST = 0.1  # least share of time with a constant command to distinguish a drag from a lag
 _OUTPUT: tuple[Side, ...] = ("output", "command")
 
 # Forms: bounds and starts are sized by the data; the verdicts of the diagnosis were calibrated with these numbers.
@@ -70,15 +69,12 @@ def _rate_dependence(s: Scale) -> list[Candidate]:
     level, way = Freedom("width_s", 0.0, 2.0, 0.01), Freedom("way", 1e-3 * s.span, s.span, 0.0)
     stretch, thinning = Freedom("stretch", 0.0, 5.0, 0.2), Freedom("thinning", 0.0, 50.0 / s.span, 0.5 / s.span)
     dahl = ((0.02, 0.1 * s.span, 1.0, 0.3 / s.span), (0.05, 0.3 * s.span, 1.0, 0.3 / s.span))
-    plain, drag = RateDependence(0.0), DahlDrag(0.0)
-    made = [
+    plain, presliding = RateDependence(0.0), (level, way, stretch, thinning)
+    return [
         Candidate("rate_dependence", "command", "command", 60, (plain,), free, ((0.01,), (0.05,))),
         Candidate("rate_dependence", "leaning", "command", 60, (plain,), leaning, leans),
+        Candidate("rate_dependence", "presliding", "command", 60, (DahlDrag(0.0),), presliding, dahl),
     ]
-    if s.resting < _LEAST_REST:  # in motion a drag without presliding is a lag
-        return made
-    presliding = (level, way, stretch, thinning)
-    return [*made, Candidate("rate_dependence", "presliding", "command", 60, (drag,), presliding, dahl)]
 
 
 def _creep(s: Scale) -> list[Candidate]:

@@ -17,7 +17,6 @@ from ..operators.operator import Operator
 Side = Literal["command", "output"]
 CORE = "core"  # variant of an effect that is a free parameter of the core instead of an operator
 
-_STILL = 1e-4  # greatest change in a sample of a constant command, as share of its range
 _NUMBER = re.compile(r"_\d+(?=_|$)")
 _WAY = re.compile(r"_(up|down)(?=_|$)")
 
@@ -50,7 +49,6 @@ class Scale:
         angle_low, angle_high: range of the angle [deg].
         duration_s: of the longest trial [s].
         total_s: of all trials together [s].
-        resting: share of the time in which the command is constant.
         fastest: greatest speed of the command [cmd/s]; where unknown, that of a step over its range.
     """
 
@@ -61,7 +59,6 @@ class Scale:
     duration_s: float
     total_s: float
     dt_s: float
-    resting: float = 1.0
     fastest: float = math.inf
 
     def __post_init__(self) -> None:
@@ -85,9 +82,8 @@ class Scale:
         durations = [run.command.size * run.dt_s for run in runs]
         low, high, angle_low, angle_high = map(float, (command.min(), command.max(), angle[0], angle[1]))
         steps = np.concatenate([np.abs(np.diff(run.command)) for run in runs])
-        resting = float(np.mean(steps <= _STILL * (high - low))) if steps.size else 0.0
         dt_s, fastest = runs[0].dt_s, float(steps.max(initial=0.0)) / runs[0].dt_s
-        return cls(low, high, angle_low, angle_high, max(durations), sum(durations), dt_s, resting, fastest)
+        return cls(low, high, angle_low, angle_high, max(durations), sum(durations), dt_s, fastest)
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,9 @@ from .free_run import StagedChain
 
 # Parameters of cores that are effects by another name: retuning leaves them at their nominal values.
 _EFFECTS_BY_ANOTHER_NAME = {"beta": "rate_dependence"}
-_OF_PLAYS_TOO = {"stribeck": "stick_slip", "stribeck_speed": "stick_slip"}
+_OF_PLAYS_TOO = {"stribeck": "stick_slip", "stribeck_speed": "stick_slip", "one_way": "asymmetry"}
 _STRIBECK = (1.0, 4.0)  # first tried, since at none the speed makes no difference; greatest
+_ONE_WAY = (0.5, -0.3)  # first tried: a fit that begins at none stays there, where retuning has widened the loop
 _STRIBECK_SPEED = (0.01, 0.2, 10.0)  # spans a second: least, first tried and greatest speed at which friction falls
 _OF_PLAYS = (PrandtlIshlinskii, CurvedPlays)
 _LINEAR_IN_WEIGHTS = (Line, *_OF_PLAYS)
@@ -45,7 +46,7 @@ class Baseline(ABC):
         command: range of the command [cmd].
         nominal, lower, upper, scale: nominal values, bounds and typical changes of z (Z,).
         effects: positions in z that retuning keeps fixed, because they are effects: {effect: {name: position}}.
-        begin: values of effects at which their fit begins, by position in z, where it is not that of the simulator.
+        begin: values of effects at which their fits begin, one tuple a fit, where these are not those of the simulator.
         held: positions in z of values that are chosen and never fitted.
         width: position in z of the width of the loop, -1 for none.
         linear: of which unknowns the angle is a linear function while the others stay (Z,).
@@ -55,7 +56,7 @@ class Baseline(ABC):
     """
 
     effects: Mapping[str, Mapping[str, int]] = MappingProxyType({})
-    begin: Mapping[int, float] = MappingProxyType({})
+    begin: Mapping[str, tuple[tuple[float, ...], ...]] = MappingProxyType({})
     held: tuple[int, ...] = ()
     width: int = -1
     roughness: Vec = np.empty((0, 0))
@@ -184,7 +185,10 @@ class FreeCoreBaseline(Baseline):
         }
         if "stick_slip" in self.effects:
             share, speed = self.effects["stick_slip"].values()
-            self.begin = {share: _STRIBECK[0]}
+            self.begin = {
+                "stick_slip": ((_STRIBECK[0], float(values[speed])),),
+                "asymmetry": tuple((first,) for first in _ONE_WAY),
+            }
             self.upper[share] = _STRIBECK[1]
             self.lower[speed], self.upper[speed] = _STRIBECK_SPEED[0] * span, _STRIBECK_SPEED[2] * span
         self.width = names.index("alpha") if "alpha" in names else -1
@@ -330,17 +334,17 @@ def baseline_of(chain: Chain, command: Range) -> Baseline:
     return CurvedBaseline(core, curves) if curves else core
 
 
-def with_friction_at_rest(chain: Chain, command: Range) -> Chain:
-    """Same chain, whose plays can have another friction at rest: an effect, which retuning leaves at none."""
+def with_play_friction(chain: Chain, command: Range) -> Chain:
+    """Same chain, whose plays can have another friction at rest or one way: effects, which retuning leaves at none."""
     if not isinstance(chain.core, _OF_PLAYS) or chain.core.rate:
         return chain
     speed = _STRIBECK_SPEED[1] * (command.upper - command.lower)
-    return replace(chain, core=replace(chain.core, speeds=(0.0, speed)))
+    return replace(chain, core=replace(chain.core, speeds=(0.0, speed, 0.0)))
 
 
 def without_idle_friction(chain: Chain) -> Chain:
-    """Same chain without a friction at rest that is none."""
-    idle = isinstance(chain.core, _OF_PLAYS) and chain.core.speeds[:1] == (0.0,)
+    """Same chain without another friction at rest or one way where that is none."""
+    idle = isinstance(chain.core, _OF_PLAYS) and chain.core.speeds[::2] == (0.0, 0.0)
     return replace(chain, core=replace(chain.core, speeds=())) if idle else chain  # type: ignore[type-var]
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hystmpc.trials.types import Mat, Vec
 
 from ..chain import Chain
-from ..effects.effect import Candidate
+from ..effects.effect import CORE, Candidate
 from .baseline import Baseline
 from .least_squares import minimise_in_boxes
 from .problem import Problem, TrialTerms
@@ -143,11 +143,15 @@ class InParts:
         held_out: of errors on parts of all trials, fitted to the other parts (B,) [deg^2].
         quick: of whitened errors of a fit to all trials (B,) [deg^2].
         free: free parameters of the effect in that fit.
+        floor_mse: error of sensor noise and model form [deg^2].
+        form_share: part of it that is of the model form.
     """
 
     held_out: Vec
     quick: Vec
     free: int
+    floor_mse: float = 0.0
+    form_share: float = 0.0
 
     @property
     def expected(self) -> float:
@@ -230,8 +234,10 @@ class CrossValidation:
 
     def with_one_more(self, base: Hypothesis, candidate: Candidate) -> Hypothesis:
         """One more cause, from its starts and the present values of a hypothesis, fitted jointly with all others."""
-        effects, starts = (*base.problem.effects, candidate), [[*base.values, start] for start in candidate.starts]
-        return self.with_causes(effects, base.problem.terms, base.z, starts)
+        effects, begin = (*base.problem.effects, candidate), candidate.starts
+        if candidate.variant == CORE:
+            begin = self.baseline.begin.get(candidate.effect, begin)
+        return self.with_causes(effects, base.problem.terms, base.z, [[*base.values, start] for start in begin])
 
     def without(self, hypothesis: Hypothesis, dropped: AbstractSet[str]) -> Hypothesis:
         """Hypothesis refitted without some of its causes, from its present values."""

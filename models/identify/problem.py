@@ -183,10 +183,14 @@ class Problem:
         return units
 
     def start(self, z: Vec, effects: Sequence[Sequence[float]]) -> Vec:
-        """Unknowns from baseline values z (Z,) and each effect's free parameters."""
-        begin = {k: v for k, v in self.baseline.begin.items() if z[k] == self.baseline.nominal[k]}
-        z = np.array([begin.get(k, v) for k, v in enumerate(z)])
-        return self.scaled(np.array([*z[self._active], *(v for values in effects for v in values)], dtype=np.float64))
+        """Unknowns from baseline values z (Z,) and free parameters of each effect, in the core those that z has not."""
+        z, outside = z.copy(), list[float]()
+        for k, values in enumerate(effects):
+            if self.effects[k].variant != CORE:
+                outside += values
+            elif values:
+                z[list(self.baseline.effects[self.effects[k].effect].values())] = values
+        return self.scaled(np.array([*z[self._active], *outside], dtype=np.float64))
 
     @property
     def as_given(self) -> Vec:

@@ -400,6 +400,7 @@ def select(
     without: Sequence[str] = (),
     progress: RoundProgress = lambda share, what: None,
     faults_mse: float = 0.0,
+    form_share: float = 0.0,
 ) -> Selection:
     """Select the causes of a gap.
 
@@ -407,11 +408,13 @@ def select(
         floor_mse: error of sensor noise and model form; a fall below it does not count [deg^2].
         progress: called with the share of the present round and the candidate.
         faults_mse: energy of a faulty sensor's noise, which is no form error [deg^2].
+        form_share: part of `floor_mse` that is the error of the model form.
     """
     fits = _Fits(validation, candidates, settings, without, progress)
     baseline, chosen = _Search(fits, settings, floor_mse, faults_mse).run()
     rest = fits.tried.get(chosen.hypothesis.effects - TIMING)
-    rivals = timing_rivals(validation, candidates, chosen.hypothesis, rest.hypothesis if rest else None)
+    others = rest.hypothesis if rest else None
+    rivals = timing_rivals(validation, candidates, chosen.hypothesis, others, floor_mse, form_share)
     for hypothesis, parts in rivals.values():
         fits.judged(hypothesis)
         fits.tried[hypothesis.effects] = replace(fits.tried[hypothesis.effects], parts=parts)

@@ -18,10 +18,18 @@ TIMING = frozenset({"lag", "delay", "rate_dependence"})
 """Effects that leave a slow motion alone and keep the angle behind a fast one."""
 _PART_S = 3.0
 _FORMS = 2  # compared forms of each effect, those that fit best
+# The form error is the same in each block, so that no scatter shows it: this share of its energy counts as an error.
+_DOUBT = 0.1
+_FEW = 2  # free numbers; a form with more of them mends the simulator's form error as well
 
 
 def timing_rivals(
-    validation: CrossValidation, candidates: Sequence[Candidate], chosen: Hypothesis, rest: Hypothesis | None
+    validation: CrossValidation,
+    candidates: Sequence[Candidate],
+    chosen: Hypothesis,
+    rest: Hypothesis | None,
+    floor_mse: float = 0.0,
+    form_share: float = 0.0,
 ) -> dict[str, tuple[Hypothesis, InParts]]:
     """Hypotheses with a lag, a delay and a rate dependence in place of the chosen one; empty unless just one is chosen.
 
@@ -34,6 +42,7 @@ def timing_rivals(
 
     Args:
         rest: fit without the effect of timing, if there is one.
+        floor_mse, form_share: see `InParts`.
     """
     names = chosen.effects & TIMING
     values = list(zip(chosen.problem.effects, chosen.problem.effect_values(chosen.q), strict=True))
@@ -49,9 +58,11 @@ def timing_rivals(
         starts = [[*(v for _, v in kept), start] for start in (candidate.starts[0], _late(candidate, late_s))]
         return validation.with_causes(effects, chosen.problem.terms, others.z, starts)
 
+    floor = floor_mse, form_share
+
     def compared(form: tuple[Candidate, Hypothesis]) -> tuple[Hypothesis, InParts]:
         candidate, h = form
-        return h, InParts(_held_out(validation, h), _quick(validation, h, white), len(candidate.free))
+        return h, InParts(_held_out(validation, h), _quick(validation, h, white), len(candidate.free), *floor)
 
     tried = [candidate for candidate in candidates if candidate.effect in TIMING and candidate.free]
     fitted: dict[str, list[tuple[Candidate, Hypothesis]]] = {}
@@ -65,7 +76,7 @@ def timing_rivals(
         pairs = list(side_by_side(compared, forms))
         hypothesis, parts = min(pairs, key=lambda pair: float(pair[1].held_out.sum()))
         quickest = min((pair for _, pair in pairs), key=lambda pair: pair.expected)
-        hypotheses[effect] = hypothesis, InParts(parts.held_out, quickest.quick, quickest.free)
+        hypotheses[effect] = hypothesis, replace(quickest, held_out=parts.held_out)
     return hypotheses
 
 
@@ -108,7 +119,7 @@ def by_timing(
     """Select among the chosen hypothesis and those with another effect of timing.
 
     Of those whose error, held out in parts, is at most so many standard errors above the least, the one with the least
-    expected whitened errors.
+    expected whitened errors; one with more than two free numbers only if others are as many errors worse in these.
     """
     names = chosen.hypothesis.effects
     if len(names & TIMING) != 1 or chosen.parts is None:
@@ -117,20 +128,35 @@ def by_timing(
     compared = [(rival, rival.parts) for rival in rivals if rival.parts is not None]
     best = min(compared, key=lambda pair: float(pair[1].held_out.sum()))[0]
     tied = [pair for pair in compared if timing_errors(pair[0], best)[0] <= sure_errors]
-    least_work, parts = min(tied, key=lambda pair: pair[1].expected)
+    quickest = min(tied, key=lambda pair: pair[1].expected)[0]
+    near = [pair for pair in tied if pair[0] is quickest or timing_errors(pair[0], quickest)[1] <= sure_errors]
+    least_work, parts = min(near, key=lambda pair: (pair[1].free > _FEW, pair[1].expected))
     if least_work.hypothesis.effects == names or least_work.energy.sum() < chosen.energy.sum():
         return least_work
     return replace(least_work, energy=parts.held_out)  # held out by trials it was extrapolated
 
 
 def timing_errors(before: HeldOutErrors, after: HeldOutErrors) -> tuple[float, float]:
-    """Standard errors by which the second is better, held out in parts and in whitened errors; 0 if not compared."""
+    """Standard errors by which the second is better, held out in parts and in whitened errors; 0 if not compared.
+
+        (max(E_1, F) - max(E_2, F)) / sqrt(s^2 + (0.1 f F)^2)
+
+    with the error s by the scatter of blocks. F is the energy of noise and model form, f the part of the form in it. Of
+    whitened errors the lesser takes the place of F in the divisor, and none that of F above. They do not speak for a
+    form of many numbers where a simpler one leaves no more than F: it mends the model form.
+    """
     if before.parts is None or after.parts is None:
         return 0.0, 0.0
     one, other = before.parts, after.parts
-    return _sure(before, one.held_out, other.held_out), _sure(before, one.quick, other.quick)
+    floor, quick = one.floor_mse * float(before.samples.sum()), min(float(one.quick.sum()), float(other.quick.sum()))
+    doubt, mends = _DOUBT * one.form_share, one.free <= _FEW < other.free and float(one.held_out.sum()) <= floor
+    in_parts = _sure(before, one.held_out, other.held_out, floor, doubt * floor)
+    return in_parts, 0.0 if mends else _sure(before, one.quick, other.quick, 0.0, doubt * quick)
 
 
-def _sure(blocks: Blocks, before: Vec, after: Vec) -> float:
-    """Standard errors by which an energy falls in these blocks."""
-    return sureness(Blocks(before, blocks.samples, blocks.run), Blocks(after, blocks.samples, blocks.run))
+def _sure(blocks: Blocks, before: Vec, after: Vec, floor: float, doubt: float) -> float:
+    """Standard errors by which an energy falls in these blocks, as far as it is above a floor."""
+    sure = sureness(Blocks(before, blocks.samples, blocks.run), Blocks(after, blocks.samples, blocks.run))
+    one, other = float(before.sum()), float(after.sum())
+    error = np.hypot((one - other) / sure, doubt) if sure else 0.0
+    return float(np.copysign((max(one, floor) - max(other, floor)) / error, sure)) if error else 0.0

@@ -10,7 +10,7 @@ from typing import Annotated, ClassVar, Self, final
 import casadi as ca
 
 from .operator import (
-    STRIBECK,
+    PLAY_FRICTION,
     Number,
     Operator,
     Parameter,
@@ -19,7 +19,7 @@ from .operator import (
     maximum,
     minimum,
     play,
-    stribeck_factor,
+    play_friction,
 )
 
 
@@ -207,8 +207,8 @@ class CurvedPlays(Operator):
     negative and those of z_0 are positive, so that the inverse exists. With equal slopes in each curve it is a
     Prandtl-Ishlinskii model with free radii.
 
-    Where friction at rest is another one (rate 1) r_i is multiplied by 1 + stribeck exp(-|v_k| / stribeck_speed), with
-    v_k = (u_k - u_k-1) / dt, as in a Prandtl-Ishlinskii model.
+    Where friction depends on speed and direction (rate 1), all r_i are multiplied by the factor of `play_friction`, as
+    in a Prandtl-Ishlinskii model.
 
     A gradual play (turn 1) stops at a reversal and follows the new direction over a travel of some r_i, as in dry
     friction with presliding: u - z is the force of a Dahl element. Its width is that of the sharp one, and z never
@@ -221,7 +221,7 @@ class CurvedPlays(Operator):
         low, high: ends of the pieces [cmd].
         pieces: number K of pieces of each curve.
         turn: 0 for sharp plays, 1 for gradual ones.
-        speeds: nothing, or (stribeck [1], stribeck_speed [cmd/s]); `rate` 1 in files.
+        speeds: nothing, or (stribeck [1], stribeck_speed [cmd/s], one_way [1]); `rate` 1 in files.
 
     Raises:
         ModelError: if a value is out of bounds, `speeds` has another length, or the number of slopes is not
@@ -247,13 +247,13 @@ class CurvedPlays(Operator):
     size_limits: ClassVar[Mapping[str, tuple[int, int]]] = {"turn": (0, 1), "rate": (0, 1)}
 
     def check_sizes(self) -> None:
-        check_speeds(self.name, self.speeds)
+        check_speeds(self.name, self.speeds, len(PLAY_FRICTION))
 
     @classmethod
     def template(cls, **structure: int) -> Self:
         plays, pieces = structure["plays"], structure["pieces"]
         slopes = (1.0,) * ((pieces + 1) * (plays + 1))
-        turn, speeds = structure.get("turn", 0), (0.0, 1.0) if structure.get("rate") else ()
+        turn, speeds = structure.get("turn", 0), (0.0, 1.0, 0.0) if structure.get("rate") else ()
         return cls(slopes, 0.0, (0.0,) * plays, 0.0, 1.0, pieces, turn, speeds)
 
     @property
@@ -263,7 +263,7 @@ class CurvedPlays(Operator):
 
     @property
     def rate(self) -> int:
-        """Flag: 1 where friction at rest is another one, else 0."""
+        """Flag: 1 where friction depends on speed and direction, else 0."""
         return int(bool(self.speeds))
 
     @property
@@ -278,13 +278,14 @@ class CurvedPlays(Operator):
             *(Parameter(f"r{i}", "cmd", 0.0, 1e4, f"half-width of play {i}") for i in range(1, self.plays + 1)),
             Parameter("low", "cmd", -1e4, 1e4, "lower end of the pieces"),
             Parameter("high", "cmd", -1e4, 1e4, "upper end of the pieces"),
-            *(STRIBECK if self.rate else ()),
+            *(PLAY_FRICTION if self.rate else ()),
         )
 
     @property
     def states(self) -> tuple[str, ...]:
         plays = tuple(f"z{i}" for i in range(1, self.plays + 1))
-        return (*plays, "u") if self.turn or self.rate else plays
+        plays = (*plays, "u") if self.turn or self.rate else plays
+        return (*plays, "falling") if self.rate else plays
 
     @property
     def settling_samples(self) -> int:
@@ -292,16 +293,16 @@ class CurvedPlays(Operator):
         return 1 + self.rate
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
-        radii = self._radii(p)
+        radii, falling = self._radii(p), []
         if self.rate:
-            places = len(self.parameters)
-            factor = stribeck_factor(ca.fabs(u - x[self.plays]) / dt, p[places - 2], p[places - 1])
-            radii = [factor * radius for radius in radii]
+            places = p[len(self.parameters) - len(PLAY_FRICTION) :]
+            factor, now = play_friction(u - x[self.plays], x[self.plays + 1], places, dt)
+            radii, falling = [factor * radius for radius in radii], [now]
         if self.turn:
             z = [_gradual_play(u, x[self.plays], x[i], radius) for i, radius in enumerate(radii)]
         else:
             z = [play(u, x[i], radius) for i, radius in enumerate(radii)]
-        return ca.vertcat(*z, *([u] if len(self.states) > self.plays else [])), self._angle([u, *z], p)
+        return ca.vertcat(*z, *([u] if self.turn or self.rate else []), *falling), self._angle([u, *z], p)
 
     def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
         # All plays at one share of their half-widths, linear in y; the mean slope of each curve stands for the curve.
@@ -312,7 +313,8 @@ class CurvedPlays(Operator):
         half = sum(mean * r for mean, r in zip(means, radii, strict=True))
         share = (y - self._angle([u] * (self.plays + 1), p)) / (half + little)
         z = [u + share * r for r in radii]
-        return ca.vertcat(*z, *([u] if len(self.states) > self.plays else []))
+        falling = [1.0] if self.rate else []  # a device at rest came down to its present angle
+        return ca.vertcat(*z, *([u] if self.turn or self.rate else []), *falling)
 
     def _radii(self, p: Symbol) -> list[Symbol]:
         first = (self.pieces + 1) * (self.plays + 1) + 1

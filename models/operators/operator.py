@@ -243,10 +243,29 @@ STRIBECK = (
 )
 """Parameters of friction that is greater at rest, see `stribeck_factor`."""
 
+PLAY_FRICTION = (
+    *STRIBECK,
+    Parameter("one_way", "1", -0.9, 10.0, "share by which friction is greater while the command falls"),
+)
+"""Parameters of a friction of plays that depends on speed and direction, see `play_friction`."""
+
 
 def stribeck_factor(speed: Symbol, stribeck: Symbol, stribeck_speed: Symbol) -> Symbol:
     """Factor of the widths of all plays at a speed: 1 + stribeck exp(-speed / stribeck_speed)."""
     return 1 + stribeck * ca.exp(-speed / stribeck_speed)
+
+
+def play_friction(move: Symbol, falling: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
+    """Factor of the widths of all plays after a move of the command, and whether that was last falling (1, else 0).
+
+        (1 + stribeck exp(-|move / dt| / stribeck_speed)) (1 + one_way falling)
+
+    Args:
+        falling: the same before the move.
+        p: `stribeck`, `stribeck_speed`, `one_way`.
+    """
+    falling = ca.if_else(move < 0, 1, ca.if_else(move > 0, 0, falling))
+    return stribeck_factor(ca.fabs(move) / dt, p[0], p[1]) * (1 + p[2] * falling), falling
 
 
 def check_speeds(name: str, speeds: Sequence[float], count: int = len(STRIBECK)) -> None:

@@ -10,7 +10,7 @@ import casadi as ca
 
 from hystmpc.trials.errors import ModelError
 
-from .operator import STRIBECK, Operator, Parameter, Symbol, check_speeds, play, stribeck_factor
+from .operator import PLAY_FRICTION, Operator, Parameter, Symbol, check_speeds, play, play_friction
 from .static_curves import Pieces, band_parameters, check_bands, pieces_of
 
 _LITTLE = 1e-9  # share of a divisor that avoids a division by zero
@@ -69,7 +69,7 @@ class PlaySum(Operator):
 class PrandtlIshlinskii(PlaySum):
     """Weighted sum of n plays whose thresholds grow with the speed of the command.
 
-    r_i(t) = alpha i (1 + stribeck exp(-|u'(t)| / stribeck_speed)) + beta |u'(t)|
+    r_i(t) = alpha i f(t) + beta |u'(t)|,  f = 1, or that of `play_friction`
     z_i,k  = max(u_k - r_i, min(u_k + r_i, z_i,k-1)),  i = 1..n
     theta  = a0 u + sum_i a_i z_i + b
 
@@ -77,14 +77,14 @@ class PrandtlIshlinskii(PlaySum):
     the loops are then monotone and the inverse exists.
 
     Attributes:
-        speeds: nothing, or (stribeck [1], stribeck_speed [cmd/s]) of friction that is greater at rest; `rate` 1 in
-            files.
+        speeds: nothing, or (stribeck [1], stribeck_speed [cmd/s], one_way [1]) of friction that depends on speed and
+            direction; `rate` 1 in files.
 
     Raises:
         ModelError: on another number of these, or a value out of bounds.
 
-    Source: S2 (RA-L 2024) eq. (4)-(5), after Al Janaideh, Rakheja and Su, Mechatronics 19 (2009); of the friction at
-    rest as that of `MaxwellSlip`.
+    Source: S2 (RA-L 2024) eq. (4)-(5), after Al Janaideh, Rakheja and Su, Mechatronics 19 (2009); of the friction as
+    that of `MaxwellSlip`; its direction is ours.
     """
 
     speeds: tuple[float, ...] = ()
@@ -94,51 +94,53 @@ class PrandtlIshlinskii(PlaySum):
     size_limits: ClassVar[Mapping[str, tuple[int, int]]] = {"rate": (0, 1)}
 
     def check_sizes(self) -> None:
-        check_speeds(self.name, self.speeds)
+        check_speeds(self.name, self.speeds, len(PLAY_FRICTION))
 
     @classmethod
     def template(cls, **structure: int) -> Self:
         plain = super().template(**structure)
-        return replace(plain, speeds=(0.0, 1.0)) if structure.get("rate") else plain
+        return replace(plain, speeds=(0.0, 1.0, 0.0)) if structure.get("rate") else plain
 
     @property
     def rate(self) -> int:
-        """Flag: 1 where friction at rest is another one, else 0."""
+        """Flag: 1 where friction depends on speed and direction, else 0."""
         return int(bool(self.speeds))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        return (*super().parameters, *(STRIBECK if self.rate else ()))
+        return (*super().parameters, *(PLAY_FRICTION if self.rate else ()))
 
     @property
     def states(self) -> tuple[str, ...]:
-        return ("u", *(f"z{i}" for i in range(1, self.plays + 1)))
+        return ("u", *(f"z{i}" for i in range(1, self.plays + 1)), *(("falling",) if self.rate else ()))
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
         n = self.plays
         alpha, beta, b = p[n + 1], p[n + 2], p[n + 3]
-        speed = ca.fabs(u - x[0]) / dt
+        speed, falling = ca.fabs(u - x[0]) / dt, []
         if self.rate:
-            alpha = alpha * stribeck_factor(speed, p[n + 4], p[n + 5])
+            factor, now = play_friction(u - x[0], x[n + 1], p[n + 4 :], dt)
+            alpha, falling = alpha * factor, [now]
         z = [play(u, x[i], alpha * i + beta * speed) for i in range(1, n + 1)]
         theta = p[0] * u + sum(p[i] * z[i - 1] for i in range(1, n + 1)) + b
-        return ca.vertcat(u, *z), theta
+        return ca.vertcat(u, *z, *falling), theta
 
     def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
         # All plays at the one state that shows y at command u; settling moves those within reach of u that are not.
         # Without weights no state makes a difference, and the division must not make one either.
         wanted = y - p[self.plays + 3] - p[0] * u
         weight = sum(p[i] for i in range(1, self.plays + 1))
-        return ca.vertcat(u, *([wanted / (weight + _LITTLE * (weight + p[0]))] * self.plays))
+        falling = [1.0] if self.rate else []  # a device at rest came down to its present angle
+        return ca.vertcat(u, *([wanted / (weight + _LITTLE * (weight + p[0]))] * self.plays), *falling)
 
     def inverse(self) -> InversePrandtlIshlinskii:
         """Analytic inverse from angle to command.
 
         Raises:
-            ModelError: where friction at rest is another one.
+            ModelError: where friction depends on speed and direction.
         """
         if self.rate:
-            raise ModelError(f"{self.name}: no analytic inverse where friction at rest is another one")
+            raise ModelError(f"{self.name}: no analytic inverse where friction depends on speed and direction")
         return InversePrandtlIshlinskii(*self.numbers)
 
 

@@ -1,4 +1,4 @@
-"""Friction that is greater at rest scales all plays of a core: no retuning and no play before it does the same."""
+"""Friction that is greater at rest or one way scales all plays of a core: no retuning does the same."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.models.chain import Chain
-from hystmpc.models.identify.baseline import baseline_of, with_friction_at_rest, without_idle_friction
+from hystmpc.models.identify.baseline import baseline_of, with_play_friction, without_idle_friction
 from hystmpc.models.identify.problem import Problem
 from hystmpc.models.operators.hysteresis import CurvedPlays
 from hystmpc.models.operators.operator import Operator
@@ -42,16 +42,29 @@ def test_thresholds_grow_in_proportion_at_rest_and_not_in_a_fast_motion(
     core: PrandtlIshlinskii | CurvedPlays, stribeck_speed: float, factor: float
 ) -> None:
     command = np.concatenate([np.arange(0.0, 5.5, DT), np.arange(5.5, 0.0, -DT)])
-    found = run_operator(replace(core, speeds=(1.5, stribeck_speed)), command)
+    found = run_operator(replace(core, speeds=(1.5, stribeck_speed, 0.0)), command)
     scaled = run_operator(wider(core, factor), command)
     back = slice(-command.size // 3, None)  # behind the turn, where every play is carried along
     np.testing.assert_allclose(found[back], scaled[back], atol=0.02)
 
 
 @pytest.mark.parametrize("core", [STATIC_PI, CURVED, GRADUAL], ids=["pi", "curved", "gradual"])
+def test_one_way_widens_the_plays_from_the_first_falling_command_to_the_first_rising_one(
+    core: PrandtlIshlinskii | CurvedPlays,
+) -> None:
+    rises, falls = np.arange(0.0, 5.5, DT), np.arange(5.5, 0.0, -DT)
+    command = np.concatenate([rises, falls, np.full(20, falls[-1]), rises])
+    up = slice(rises.size // 2, rises.size)  # where every play is carried along
+    down = slice(rises.size + 2 * falls.size // 3, rises.size + falls.size + 20)
+    found = run_operator(replace(core, speeds=(0.0, 1.0, 0.6)), command)
+    for part, factor in ((up, 1.0), (down, 1.6)):
+        np.testing.assert_allclose(found[part], run_operator(wider(core, factor), command)[part], atol=0.1)
+
+
+@pytest.mark.parametrize("core", [STATIC_PI, CURVED, GRADUAL], ids=["pi", "curved", "gradual"])
 def test_retuning_leaves_it_at_none_and_a_simulator_without_it_is_as_given(core: Operator) -> None:
     chain = Chain(core)
-    wide = with_friction_at_rest(chain, COMMAND)
+    wide = with_play_friction(chain, COMMAND)
     assert without_idle_friction(wide) == chain
     assert without_idle_friction(Chain(REST_PI)) == Chain(REST_PI)
     one, other = (Problem(baseline_of(made, COMMAND)) for made in (chain, wide))
@@ -81,6 +94,18 @@ def test_without_a_jump_it_is_named_with_its_numbers(core: Operator, plain: Oper
     assert (found.verdict, effect.name) == ("named", "stick_slip")
     assert effect.parameters["stribeck"] == pytest.approx(3.0, rel=0.15)
     assert effect.parameters["stribeck_speed"] == pytest.approx(1.0, rel=0.15)
+    assert found.gap.with_effects_rmse_deg == pytest.approx(0.05, rel=0.3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("plain", "one_way"), [(STATIC_PI, 1.2), (STATIC_PI, -0.6), (CURVED, 1.2)])
+def test_friction_that_is_greater_one_way_is_named_with_its_number(
+    plain: PrandtlIshlinskii | CurvedPlays, one_way: float
+) -> None:
+    found, _ = conclude(find_causes(recorded(replace(plain, speeds=(0.0, 1.0, one_way))), simulator_of(plain)))
+    (effect,) = found.effects
+    assert (found.verdict, effect.name) == ("named", "asymmetry")
+    assert effect.parameters["one_way"] == pytest.approx(one_way, rel=0.1)
     assert found.gap.with_effects_rmse_deg == pytest.approx(0.05, rel=0.3)
 
 

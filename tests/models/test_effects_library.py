@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -47,18 +46,6 @@ def test_every_effect_but_those_with_a_test_of_their_own_has_forms() -> None:
     scale = Scale(0.0, 6.0, 20.0, 80.0, 60.0, 240.0, DT)
     assert {c.effect for c in candidates(scale, ())} == set(diagnosable()) - own
     assert set(EFFECTS) - set(diagnosable()) == {"dahl_drag", "directional_gain"}
-
-
-def test_a_drag_that_stays_in_a_hold_is_looked_for_only_where_the_command_rests() -> None:
-    def forms(resting: float) -> set[str]:
-        found = candidates(Scale(0.0, 6.0, 20.0, 80.0, 60.0, 240.0, DT, resting), ())
-        return {c.variant for c in found if c.effect == "rate_dependence"}
-
-    assert forms(0.4) - forms(0.02) == {"presliding"}
-    t = np.arange(500) * DT
-    rests = np.repeat(3 - 3 * np.cos(t[::5]), 5)
-    scales = [Scale.of([SimpleNamespace(command=u, angle=10 * u, dt_s=DT)]) for u in (3 - 3 * np.cos(t), rests)]
-    assert scales[0].resting < 0.1 < 0.7 < scales[1].resting
 
 
 def test_confounders_are_effects_and_mutual() -> None:

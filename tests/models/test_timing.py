@@ -52,12 +52,24 @@ def test_a_slow_error_does_not_hide_what_is_quick(operator: Operator, true: str)
     assert found[true][1].held_out.sum() > 0.9 * found[false][1].held_out.sum()
 
 
-def rival(name: str, held_out: float, quick: float, free: int = 1, *, scatter: float = 0.0) -> HeldOutErrors:
-    """A hypothesis with mean square errors of that size [deg^2], every other block of the first worse by `scatter`."""
+def rival(
+    name: str,
+    held_out: float,
+    quick: float,
+    free: int = 1,
+    *,
+    scatter: float = 0.0,
+    form: tuple[float, float] = (0.0, 0.0),
+) -> HeldOutErrors:
+    """A hypothesis with mean square errors of that size [deg^2], every other block of the first worse by `scatter`.
+
+    Args:
+        form: mean square error of noise and model form [deg^2], and the part of the form in it.
+    """
     problem = cast("Any", SimpleNamespace(effects=[SimpleNamespace(effect=name)], terms=SimpleNamespace(names=())))
     ones, run = np.ones(BLOCKS), np.arange(BLOCKS) // 6
     uneven = SAMPLES * (held_out + scatter * (-1.0) ** np.arange(BLOCKS))
-    parts = InParts(uneven, SAMPLES * quick * ones, free)
+    parts = InParts(uneven, SAMPLES * quick * ones, free, *form)
     hypothesis = Hypothesis(problem, np.empty(0), held_out)
     return HeldOutErrors(uneven, SAMPLES * ones, run, hypothesis, (), (), parts)
 
@@ -73,6 +85,31 @@ def test_parts_decide_where_they_are_sure_and_else_what_is_quick(fall: float, sc
     lag, delay = rival("lag", 1.0 + fall, 1.0), rival("delay", 1.0, 2.0, scatter=scatter)
     sure = timing_errors(lag, delay)[0] > SURE
     assert told(lag, delay) == told(delay, lag) == ("delay" if sure else "lag")
+
+
+@given(st.floats(0.5, 1.0), st.floats(0.5, 1.0), st.floats(0.0, 1.0))
+def test_errors_below_noise_and_model_form_do_not_tell_apart(one: float, other: float, share: float) -> None:
+    lag, delay = (rival(name, held_out, 1.0, form=(1.0, share)) for name, held_out in (("lag", one), ("delay", other)))
+    assert timing_errors(lag, delay)[0] == timing_errors(delay, lag)[0] == 0.0
+
+
+@given(st.floats(1.0, 2.0), st.floats(0.1, 1.0), st.floats(0.1, 1.0), st.floats(0.0, 0.5))
+def test_no_error_is_surer_than_the_part_of_the_model_form_in_the_floor_allows(
+    fall: float, quick_fall: float, share: float, scatter: float
+) -> None:
+    """Without scatter a fall as large as the form error would be infinitely sure."""
+    pair = [("lag", 1.0 + fall, 1.0 + quick_fall), ("delay", 1.0, 1.0)]
+    lag, delay = (rival(*each, scatter=scatter, form=(1.0, share)) for each in pair)
+    in_parts, quick = timing_errors(lag, delay)
+    assert 0 < in_parts <= fall / (0.1 * share) * (1 + 1e-9)
+    assert 0 < quick <= quick_fall / (0.1 * share) * (1 + 1e-9)
+
+
+@pytest.mark.parametrize(("held_out", "chosen"), [(0.9, "lag"), (3.0, "rate_dependence")])
+def test_many_numbers_need_more_than_the_model_form_left_by_few(held_out: float, chosen: str) -> None:
+    form = (1.0, 0.9)
+    lag, flexible = rival("lag", held_out, 2.0, form=form), rival("rate_dependence", 0.3, 1.0, 5, form=form)
+    assert told(lag, flexible) == told(flexible, lag) == chosen
 
 
 @given(st.integers(1, 5), st.integers(1, 5))

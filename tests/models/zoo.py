@@ -28,14 +28,14 @@ DT = 0.04
 BACKLASH = Backlash(10.27, 10.70, 2.822, 2.003)  # S2's forward fit in mm and degrees
 STATIC_PI = PrandtlIshlinskii(3.0, (2.5, 2.0, 1.5, 1.2), 0.15, 0.0, 22.0)
 RATE_PI = PrandtlIshlinskii(3.0, (2.5, 2.0, 1.5, 1.2), 0.15, 0.012, 22.0)
-REST_PI = replace(STATIC_PI, speeds=(3.0, 1.0))
+REST_PI = replace(STATIC_PI, speeds=(3.0, 1.0, 0.0))
 # Dead at the bottom, saturating at the top: bends at 30 and 40, 60 and 75 deg of 22 to 83 before the dead zones.
 DEADBAND = Deadband(1.1, (0.5, 0.08), (0.6, 0.1), (15.0, 10.0), (15.0, 15.0), 50.0, 48.0)
 DRDPI = Drdpi(3.0, (2.5, 2.0, 1.5, 1.2), 0.15, 0.012, -28.0, (0.5, 0.08), (0.6, 0.1), (12.0, 8.0), (12.0, 12.0), 48.0)
 CURVED = CurvedPlays((2.0, 3.0, 1.5, 2.0, 2.5, 2.0, 1.0, 1.5, 1.0, 0.5, 3.0, 2.0), 20.0, (0.2, 0.7), 0.5, 5.5, 3)
 GRADUAL = CurvedPlays(CURVED.slopes, 20.0, (0.2, 0.7), 0.5, 5.5, 3, turn=1)
-REST_CURVED = replace(CURVED, speeds=(3.0, 1.0))
-REST_GRADUAL = replace(GRADUAL, speeds=(3.0, 1.0))
+REST_CURVED = replace(CURVED, speeds=(3.0, 1.0, 0.0))
+REST_GRADUAL = replace(GRADUAL, speeds=(3.0, 1.0, 0.0))
 OSCILLATOR = Oscillator(0.01, 0.1, 1.0, 0.5, 0.02, -0.01)
 STATE_NETWORK = StateNetwork(
     (0.9, -0.2, 0.3, 0.8),
