@@ -115,8 +115,12 @@ def _groups(operators: Sequence[Operator], dt_s: float) -> list[list[Operator]]:
 
 def _names(groups: Sequence[Sequence[Operator]]) -> list[str]:
     """Names of the blocks, each once."""
-    plain = ["_".join(dict.fromkeys(operator.name for operator in group)) for group in groups]
-    return [f"{name}_{plain[:k].count(name) + 1}" if plain.count(name) > 1 else name for k, name in enumerate(plain)]
+    return _each_once(["_".join(dict.fromkeys(operator.name for operator in group)) for group in groups])
+
+
+def _each_once(names: Sequence[str]) -> list[str]:
+    """Names with a number where one occurs several times, as that of an operator before and behind the core does."""
+    return [f"{name}_{names[:k].count(name) + 1}" if names.count(name) > 1 else name for k, name in enumerate(names)]
 
 
 def _block(
@@ -127,7 +131,7 @@ def _block(
 
     part = linear_part(group[0], dt_s) if len(group) == 1 else None
     several = len(group) > 1
-    labels = [f"{o.name}_{state}" if several else state for o in group for state in o.states]
+    labels = _each_once([f"{o.name}_{state}" if several else state for o in group for state in o.states])
     if part is None:
         run = prepared(group, dt_s).run
         return _nonlinear(run, labels, ends, dt_s, name, nudge, last=last)

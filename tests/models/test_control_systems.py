@@ -15,7 +15,7 @@ from hystmpc.models.linear.systems import from_control, linear_part
 from hystmpc.models.operators.dynamics import Delay, Lag, LinearDynamics, Servo
 from hystmpc.models.operators.hysteresis import Play
 from hystmpc.models.operators.operator import Operator
-from hystmpc.models.operators.static_curves import Deadband, Line
+from hystmpc.models.operators.static_curves import Deadband, Line, NonlinearGain
 from hystmpc.models.simulator import ChainModel
 from hystmpc.trials.errors import ModelError
 
@@ -28,6 +28,7 @@ CHAINS = [
     simulator(core=BOUC_WEN),
     simulator(Delay(1.5 * DT, 2), Lag(0.12), core=RATE_PI),
     simulator(Servo(0.1, 0.6), Play(0.2), core=BACKLASH, after=(Lag(0.2), BENT, Lag(0.05))),
+    simulator(NonlinearGain(-0.011, 0.0, 2.9), core=STATIC_PI, after=(NonlinearGain(0.001, 0.0, 60.0),)),
 ]
 every_chain = pytest.mark.parametrize("chain", CHAINS, ids=lambda s: "+".join(o.name for o in s.chain.operators))
 
