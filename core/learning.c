@@ -22,7 +22,7 @@ enum {
 
 #define LEARN_BETTER R(0.8)     /* share of the present score at which another drive is taken */
 #define LEARN_FULL_GAIN R(0.3)  /* over the model's score, beyond the least one, for the learned part's full effect */
-#define LEARN_ALIKE R(1.0)     /* blocks before the first one, in which all miss by the noise of the filters */
+#define LEARN_ALIKE R(2.0)     /* blocks before the first one, in which all miss by the noise of the filters */
 #define LEARN_MOVING R(2.0)     /* variances of the filters by which an angle has to move in a block that counts */
 #define LEARN_RECENT R(0.8)     /* forgetting factor of the errors that a supervisor uses, a block */
 #define LEARN_WORST R(1.2)      /* error of a block is limited to this: one bad block is weak evidence */

@@ -45,13 +45,13 @@ def analyse(
     """
     from hystmpc.ctrl.command import limits_of_model, modelled_limits
     from hystmpc.ctrl.linear.report import TOLERANCE_DEG, loops_of
-    from hystmpc.models.load import load_model
+    from hystmpc.models.load import load_model, model_path
 
     allow_classes(allow_python)
     if out is not None:
         require_vacant(out)
     given, controllers, folder = _read(config, tuple(overrides))
-    path = _file(given.model, folder)
+    path = model_path(given.model, folder)
     model = load_model(path, "conditioned")
     limits = modelled_limits(given.limits, limits_of_model(model.metadata))
     wanted = getattr(given, "tolerance_deg", TOLERANCE_DEG) if tolerance_deg is None else tolerance_deg
@@ -82,9 +82,3 @@ def _read(config: Settings, overrides: tuple[str, ...]) -> tuple[Any, Mapping[st
         return study, study.controllers, folder
     tip = settings_of(TipSettings, config, overrides)
     return tip, {tip.controller.kind: tip.controller}, folder
-
-
-def _file(name: str, folder: Path) -> Path:
-    from hystmpc.models.load import model_path
-
-    return model_path(name, folder)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from hystmpc.models.operators.operator import Operator
 from hystmpc.models.prediction.build import controller_model, predictor_for
 from hystmpc.trials.errors import ControllerError
 
-from ..command import CommandLimits
+from ..command import CommandLimits, attempt
 from ..config import AnyControllerSettings
 from ..estimation.observer import EstimatorSettings
 from ..feedback import InversePidControllerSettings, PidControllerSettings
@@ -170,7 +170,7 @@ def analyse_controllers(
     controllers: Sequence[tuple[str, AnyControllerSettings]],
     tolerance_deg: float,
 ) -> tuple[ControllerAnalysis, ...]:
-    """Analyse controllers around one model.
+    """Analyse controllers around one model. Where that fails a note says why: it must not cost the report around it.
 
     Args:
         device: the model at its operating point.
@@ -186,7 +186,11 @@ def analyse_controllers(
             f"analyse: got an operating point at {device.command:.6g}, expected one within {limits.lower:.6g} to "
             f"{limits.upper:.6g}"
         )
-    return tuple(_analysed(device, limits, name, settings, tolerance_deg) for name, settings in controllers)
+    analysed = []
+    for name, settings in controllers:
+        one, why = attempt(partial(_analysed, device, limits, name, settings, tolerance_deg))
+        analysed.append(one or ControllerAnalysis(name, settings.kind, notes=(f"not analysed: {why}",)))
+    return tuple(analysed)
 
 
 def _analysed(

@@ -154,6 +154,21 @@ def test_what_cannot_be_analysed_is_said() -> None:
         analyse_controllers(DeviceModel(model, 0.0, 0, 7.0), WIDE, [], 0.5)
 
 
+def test_an_analysis_that_fails_is_a_note_and_costs_no_report(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The page of a commissioning has it: five minutes of motion must not be lost for it."""
+    model = hystmpc.load_model("builtin:backlash", "conditioned")
+
+    def fails(*given: object) -> None:
+        raise ValueError("List of state labels is the wrong length")
+
+    monkeypatch.setattr("hystmpc.ctrl.linear.analysis.pid_system", fails)
+    kinds = {kind: parse_controller({"kind": kind}, "test") for kind in ("pid", "linearised_mpc")}
+    pid, plan = loops_of(model, "backlash", kinds, WIDE).controllers
+    assert pid.rest == "not analysed"
+    assert pid.notes == ("not analysed: ValueError: List of state labels is the wrong length",)
+    assert plan.margins is not None
+
+
 def test_an_oscillation_beyond_the_tolerance_is_too_great_for_a_hold() -> None:
     model = hystmpc.load_model("builtin:backlash", "conditioned")
     calm, wild = (analysed("pid", model, gains={"kp_per_deg": 0.01, "ki_per_deg_s": ki}) for ki in (0.3, 30.0))

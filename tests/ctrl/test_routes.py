@@ -67,9 +67,10 @@ def test_two_routes_give_one_command(kind: str, blocks: tuple[int, ...] | None) 
     y = float(fast.init(45.0, 1.0).estimate.angles[0])
     ours, theirs = compared(fast, slow, y, 1.0, 15)
     assert np.ptp(ours) > 0.1
-    np.testing.assert_allclose(theirs, ours, rtol=0, atol=4 * TOLERANCE[kind] if kind in TOLERANCE else 1e-6)
+    np.testing.assert_allclose(theirs, ours, rtol=0, atol=OF_COMMANDS.get(kind, 1e-6))
 
 
 # Networks run in single precision: 1e-7 of 85 deg over 10 deg/mm, amplified by the weight of an error against a move.
-# In a command it is amplified once more, by the second linearisation of a plan on a close model.
 TOLERANCE = dict.fromkeys(("lstm", "gru", "hb1", "hb2", "fnn", "fnn_hib", "svr"), 5e-6)
+# In a command it is amplified once more, by the second linearisation of a plan on a close model: most of all in hb2.
+OF_COMMANDS = TOLERANCE | {"hb2": 2e-5}
