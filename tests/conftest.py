@@ -10,13 +10,16 @@ from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, is_hypothesis_test, settings
+from hypothesis.internal.conjecture import providers
 
 from .shared import PLACES
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES, FAST_EXAMPLES = 40, 5
 
-# A busy machine must not fail a test: no deadline, and no complaint about slow examples. Every run draws the same.
+# A busy machine must not fail a test: no deadline, and no complaint about slow examples. Every run draws the same: by
+# itself, hypothesis also draws constants of the local modules imported so far, and so depends on the tests before.
+providers.is_local_module_file = lambda path: False
 settings.register_profile(
     "ci", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow], max_examples=EXAMPLES
 )

@@ -51,8 +51,9 @@ def clock_shift(t: Vec, command: Vec, angle: Vec) -> ClockShift | None:
     """Time shift between command and angle that no device explains; None if there is none.
 
     A shift is reported if it gives a correlation of at least 0.9 and leaves less than 0.3 of the variance that remains
-    after every delay of up to `DELAY_S` and every first-order lag. No shift is reported if the command repeats itself
-    after this time: shifts by a period are indistinguishable.
+    after every delay of up to `DELAY_S` and every first-order lag. If a delay of a device gives such a correlation too,
+    only a lead beyond `IMPOSSIBLE_S` is reported. No shift is reported if the command repeats itself after this time:
+    shifts by a period are indistinguishable.
     """
     duration = float(t[-1] - t[0])
     dt = max(duration / _GRID, float(np.median(np.diff(t))))
@@ -70,7 +71,8 @@ def clock_shift(t: Vec, command: Vec, angle: Vec) -> ClockShift | None:
     if turning_points(common, _TURN * float(np.ptp(u)))[1].size < _TURNS:
         return None
     as_it_is = _like_a_device(u, y, int(lags[best]), dt, size[device])
-    if as_it_is > _LIKE or _repeats(u, int(lags[best]), round(DELAY_S / dt)):
+    excused = as_it_is > _LIKE and lags[best] * dt >= -IMPOSSIBLE_S
+    if excused or _repeats(u, int(lags[best]), round(DELAY_S / dt)):
         return None
     left, left_by_device = 1 - size[best] ** 2, 1 - as_it_is**2
     if left > _BETTER * left_by_device or left > _BETTER * _left_by_lags(u, y, dt):
