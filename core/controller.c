@@ -266,42 +266,51 @@ static real foreseen_angle(const hystmpc_problem *p, const hystmpc_memory *m, co
     return (planned ? out->angles[k - delay] : m->observed.now.angles[k]) + known_of(m)->disturbance;
 }
 
+HYSTMPC_LOCAL int hystmpc_controller_begin(const hystmpc_problem *p, hystmpc_memory *m, real angle_deg, const real *reference,
+                                           hystmpc_proposal *out, char *room) {
+    if (!started(m)) return 0;
+    hystmpc_observer_correct(p->sensing, p->model, &m->observed, angle_deg);
+    decide(p, m, reference, out, room);
+    m->head->hurried = 0;
+    return 1;
+}
+
+HYSTMPC_LOCAL int hystmpc_controller_finish(const hystmpc_problem *p, hystmpc_memory *m, const hystmpc_proposal *out, int foretells,
+                                            hystmpc_command *answer, char *room) {
+    const hystmpc_known *known = known_of(m);
+    answer->missing = known->missing;
+    answer->u = hystmpc_within_limits(p, out->u, known->command);
+    hystmpc_observer_advance(p->sensing, p->model, &m->observed, answer->u, room);
+    answer->source = out->source;
+    answer->status = out->status;
+    answer->fault = out->fault;
+    answer->planned = out->planned;
+    answer->inverse = out->inverse;
+    answer->departure_deg = known->disturbance + known->added;
+    answer->predicted_deg = (real)NAN;
+    if (p->model) answer->predicted_deg = foreseen_angle(p, m, out, 0);
+    const int foreseen = !p->model || !foretells ? 0 : out->planned ? out->planned : p->sensing->delay + 1;
+    for (int k = foreseen - 1; k >= 0; k--) out->angles[k] = foreseen_angle(p, m, out, k); /* of those before it */
+    const int supervised = out->source == HYSTMPC_FEEDBACK && m->head->level;
+    return out->status != HYSTMPC_OK || out->fault > 0 || known->missing || known->stalled || supervised;
+}
+
 int hystmpc_controller_step(const void *problem, char *memory, real angle_deg, const real *reference, void *command,
                             real *plan, char *room) {
     const hystmpc_problem *p = problem;
     const int horizon = p->law->horizon;
-    hystmpc_command *answer = command;
     hystmpc_memory m;
     hystmpc_proposal out;
     hystmpc_memory_at(p, memory, &m);
-    memset(answer, 0, sizeof *answer);
-    if (!started(&m)) {
-        stand_still(p, &m, answer, plan);
-        return 1;
-    }
+    memset(command, 0, sizeof(hystmpc_command));
     memset(&out, 0, sizeof out);
     room = room_begin(room);
     out.commands = plan ? plan : room_take(&room, 2L * horizon);
     out.angles = out.commands + horizon;
-    hystmpc_observer_correct(p->sensing, p->model, &m.observed, angle_deg);
-    decide(p, &m, reference, &out, room);
-    m.head->hurried = 0;
-    const hystmpc_known *known = known_of(&m);
-    answer->missing = known->missing;
-    answer->u = hystmpc_within_limits(p, out.u, known->command);
-    hystmpc_observer_advance(p->sensing, p->model, &m.observed, answer->u, room);
-    answer->source = out.source;
-    answer->status = out.status;
-    answer->fault = out.fault;
-    answer->planned = out.planned;
-    answer->inverse = out.inverse;
-    answer->departure_deg = known->disturbance + known->added;
-    answer->predicted_deg = (real)NAN;
-    if (p->model) answer->predicted_deg = foreseen_angle(p, &m, &out, 0);
-    const int foreseen = !p->model || !plan ? 0 : out.planned ? out.planned : p->sensing->delay + 1;
-    for (int k = foreseen - 1; k >= 0; k--) out.angles[k] = foreseen_angle(p, &m, &out, k); /* of those before it */
-    const int supervised = out.source == HYSTMPC_FEEDBACK && m.head->level;
-    return out.status != HYSTMPC_OK || out.fault > 0 || known->missing || known->stalled || supervised;
+    if (hystmpc_controller_begin(p, &m, angle_deg, reference, &out, room))
+        return hystmpc_controller_finish(p, &m, &out, plan != NULL, command, room);
+    stand_still(p, &m, command, plan);
+    return 1;
 }
 
 void hystmpc_controller_look(const void *problem, const char *memory, real *numbers, real *x, real *angles, real *moves,

@@ -215,6 +215,14 @@ typedef struct {
 /* Parts of a memory; counts that a foreign memory may have wrong are kept within them. */
 HYSTMPC_LOCAL void hystmpc_memory_at(const hystmpc_problem *p, char *memory, hystmpc_memory *m);
 
+/* A step in two halves, between which the axes of a device agree on what is sent, see axes.h. The first half: estimate and
+ * proposal, 0 where nothing has been started. The second: what is sent and the answer of a step; `foretells`: whether the
+ * proposal's angles become those of the answer, disturbance included. The proposal begins as zeros, with its arrays. */
+HYSTMPC_LOCAL int hystmpc_controller_begin(const hystmpc_problem *p, hystmpc_memory *m, real angle_deg,
+                                           const real *reference, hystmpc_proposal *out, char *room);
+HYSTMPC_LOCAL int hystmpc_controller_finish(const hystmpc_problem *p, hystmpc_memory *m, const hystmpc_proposal *out,
+                                            int foretells, hystmpc_command *answer, char *room);
+
 HYSTMPC_LOCAL real hystmpc_within_limits(const hystmpc_problem *p, real u, real last);
 
 /* The laws: memory as if nothing had been done, from rest at y under u in the state x; the proposal of one sample. A law

@@ -310,7 +310,7 @@ class GuardedController(HoldsAddresses):
         command = Command(
             u=answer.u,
             source=SOURCES[answer.source],
-            status=self._status(state, after, answer, fault) if unusual else self._note,
+            status=self.status(state, after, answer, fault) if unusual else self._note,
             plan=numbers[:planned],
             predicted=numbers[begin : begin + (planned or sent if sent else 0)],
             disturbance=answer.departure_deg,
@@ -331,7 +331,13 @@ class GuardedController(HoldsAddresses):
         answer = None if self._outside is None else self._outside.answer
         return "ok" if answer is None else answer.status or "ok"
 
-    def _status(self, state: GuardedState, after: GuardedState, answer: Any, fault: str) -> str:
+    @property
+    def places(self) -> Places:
+        """Places of the estimate in a state's memory."""
+        return self._places
+
+    def status(self, state: GuardedState, after: GuardedState, answer: Any, fault: str) -> str:
+        """Status line of an answer of the engine, with the states before and after; `fault`: of the reference."""
         known, head = after.known, after.head
         level = head.level if answer.source == 1 else 0
         more = {

@@ -241,9 +241,14 @@ def simulator_for(chain: Chain, facts: ModelMetadata, method: str) -> Simulator:
 
 def save_simulator(simulator: Simulator, path: Path | str) -> Path:
     """Write a simulator file, whole or not at all."""
+    return write_atomically(path, dump_yaml(simulator_spec(simulator)))
+
+
+def simulator_spec(simulator: Simulator) -> dict[str, Any]:
+    """Plain data of a simulator file, from which `simulator_from` builds it again."""
     held = {name: getattr(simulator, name) for name in SimulatorFile.model_fields if name not in ("format", "chain")}
     file = SimulatorFile.model_construct(format=FORMAT, chain=chain_spec(simulator.chain), **held)
-    return write_atomically(path, dump_yaml(file.model_dump(mode="json", exclude_none=True)))
+    return file.model_dump(mode="json", exclude_none=True)
 
 
 def load_simulator(path: Path | str) -> Simulator:
@@ -253,14 +258,25 @@ def load_simulator(path: Path | str) -> Simulator:
         ModelError: if the file is missing, foreign, of another version, or names what the catalogue does not know.
     """
     try:
-        data = read_yaml(path)
-        if not isinstance(data, dict) or data.get("format") != FORMAT:
-            got = data.get("format") if isinstance(data, dict) else type(data).__name__
-            raise ModelError(f"{path}: format {got!r}, expected a simulator file of format {FORMAT!r}")
-        file = SimulatorFile.parse(data, str(path))
+        return simulator_from(read_yaml(path), str(path))
     except ConfigError as error:
         raise ModelError(str(error)) from None
-    chain = chain_from(file.chain, f"{path}: chain")
+
+
+def simulator_from(data: Any, where: str) -> Simulator:
+    """Simulator from the plain data of its file.
+
+    Raises:
+        ModelError: if the data is foreign, of another version, or names what the catalogue does not know.
+    """
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        got = data.get("format") if isinstance(data, dict) else type(data).__name__
+        raise ModelError(f"{where}: format {got!r}, expected a simulator file of format {FORMAT!r}")
+    try:
+        file = SimulatorFile.parse(data, where)
+    except ConfigError as error:
+        raise ModelError(str(error)) from None
+    chain = chain_from(file.chain, f"{where}: chain")
     names = [name for name in SimulatorFile.model_fields if name not in ("format", "chain")]
     return Simulator(chain=chain, **{name: getattr(file, name) for name in names})
 

@@ -8,6 +8,7 @@ time (L / jerk)^(1/3), scaled back, and checked.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import ruckig
@@ -25,6 +26,8 @@ _EXCESS, _GAP, _BRAKED_GAP = 1e-9, 1e-8, 1e-7
 _JERKS = (1.0, 1.0 - 1e-9, 1.0 - 1e-6)
 # ruckig is made for durations up to 7600 of its units of time and may refuse longer ones (ruckig#109).
 _LONGEST = 1000.0
+# Attempts at a common duration, and by what share of it motions may end apart.
+_ROUNDS, _TOGETHER = 4, 1e-6
 
 
 def move(start: Kinematics, target: Kinematics, limits: MotionLimits, duration_s: float | None = None) -> Segments:
@@ -52,8 +55,12 @@ def move(start: Kinematics, target: Kinematics, limits: MotionLimits, duration_s
     return _scaled(segments, scale, start)
 
 
-def move_to_rest(start: Kinematics, target_deg: float, limits: MotionLimits) -> Segments:
+def move_to_rest(
+    start: Kinematics, target_deg: float, limits: MotionLimits, duration_s: float | None = None
+) -> Segments:
     """Compute the fastest motion from `start` to rest at `target_deg`; if `start` exceeds a limit, it is braked first.
+
+    With `duration_s` it takes at least so long: longer where ruckig finds no motion of that duration.
 
     The unit of length of a motion with initial velocity or acceleration is
 
@@ -69,13 +76,36 @@ def move_to_rest(start: Kinematics, target_deg: float, limits: MotionLimits) -> 
     speed, bend = abs(start.velocity_deg_s), abs(start.acceleration_deg_s2)
     unit = max(abs(target_deg - start.theta_deg), math.sqrt(speed**3 / jerk), bend**3 / jerk**2)
     if unit <= _SNAP * max(1.0, abs(start.theta_deg)):
-        return np.empty((0, 5))
-    scale, where = _units(unit, limits), _words(start, target)
-    wanted = _problem(start, target, limits, scale)
+        return np.empty((0, 5)) if duration_s is None else hold(target_deg, duration_s)
+    scale, where = _units(unit, limits, duration_s or 0.0), _words(start, target)
+    wanted = _problem(start, target, limits, scale, duration_s)
     segments = _planned(wanted, where)
     segments = segments[segments[:, 0] > 0]
     _check_end(segments, wanted, _BRAKED_GAP, where)
     return _scaled(segments, scale, start)
+
+
+def move_together(starts: Sequence[Kinematics], targets_deg: Sequence[float], limits: MotionLimits) -> list[Segments]:
+    """Motions of several axes to rest, each within the limits, that end at the same time: that of the slowest.
+
+    Returns:
+        Segments of each axis as of `move_to_rest`; all of shape (0, 5) where every axis rests at its target already.
+
+    Raises:
+        TrajectoryError: as `move_to_rest`, or if no common duration is found.
+    """
+    pairs = list(zip(starts, targets_deg, strict=True))
+    moves = [move_to_rest(*pair, limits) for pair in pairs]
+    longest = max(float(segments[:, 0].sum()) for segments in moves)
+    for _ in range(_ROUNDS):
+        if longest == 0:
+            return moves
+        moves = [move_to_rest(*pair, limits, longest) for pair in pairs]
+        ends = [float(segments[:, 0].sum()) for segments in moves]
+        if max(ends) - min(ends) <= _TOGETHER * longest:
+            return moves
+        longest = max(ends)
+    raise TrajectoryError(f"moves: got ends between {min(ends):.6g} and {max(ends):.6g} s, expected a common one")
 
 
 def _words(start: Kinematics, target: Kinematics) -> str:

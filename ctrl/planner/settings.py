@@ -72,6 +72,21 @@ def read_settings(source: Path | str | Mapping[str, Any] | TipSettings) -> tuple
     return TipSettings.parse(data, str(source)), Path(source).resolve().parent
 
 
+def of_two_axes(source: object) -> bool:
+    """Whether settings, a file or a mapping, name a model of two axes; what cannot be read names none."""
+    from hystmpc.models.load import model_path
+    from hystmpc.models.two_axes.model import has_two_axes
+
+    data, folder = source, Path()
+    if isinstance(source, str | Path):
+        try:
+            data, folder = read_yaml(source), Path(source).resolve().parent
+        except ConfigError:
+            return False
+    model = data.get("model") if isinstance(data, Mapping) else None
+    return isinstance(model, str) and not model.startswith("builtin:") and has_two_axes(model_path(model, folder))
+
+
 @dataclass(frozen=True, eq=False)
 class Assembly:
     """Parts of a `TipController`.

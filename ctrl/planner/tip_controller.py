@@ -8,7 +8,7 @@ from copy import copy
 from functools import partial
 from pathlib import Path
 from threading import RLock
-from typing import TYPE_CHECKING, Any, Self, final
+from typing import TYPE_CHECKING, Any, Self, cast, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -43,7 +43,7 @@ from .memory import (
 )
 from .reach import Reach
 from .reference import ReferenceRequest, given_request, waypoint_request
-from .settings import TipSettings, read_settings
+from .settings import TipSettings, of_two_axes, read_settings
 
 if TYPE_CHECKING:
     from ..guarded import GuardedState
@@ -91,6 +91,8 @@ class TipController:
     def from_config(cls, source: Path | str | Mapping[str, Any] | TipSettings) -> Self:
         """Build a controller that is ready to step: files opened, first steps taken.
 
+        A model of two bending axes gives a `TwoAxisTipController`: the same calls, with arrays of both axes.
+
         Args:
             source: a YAML file or mapping, see `TipSettings`; relative file names start at the file's folder.
 
@@ -102,6 +104,10 @@ class TipController:
         """
         from .settings import assemble  # CasADi and onnxruntime take long to import
 
+        if of_two_axes(source):
+            from ..two_axes.tip_controller import TwoAxisTipController
+
+            return cast(Self, TwoAxisTipController.from_settings(cast(Any, source)))
         settings, folder = read_settings(source)
         return cls(assemble(settings, folder), settings)
 

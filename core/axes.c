@@ -1,0 +1,394 @@
+/* Two axes: separate proposals, the commands that pull by both, one program where their limits bind. See axes.h. */
+#include "axes.h"
+#include "room.h"
+
+#include <string.h>
+
+/* Shares of a command's greatest change: by so much limits may move a command that is still the one proposed, and within
+ * this it is the one sent last. */
+#if HYSTMPC_SINGLE
+static const real axes_grain = R(1e-3), axes_same = R(1e-4);
+#else
+static const real axes_grain = R(1e-6), axes_same = R(1e-8);
+#endif
+
+/* One axis in a call. */
+typedef struct {
+    const hystmpc_problem *p;
+    hystmpc_memory m;
+    hystmpc_proposal out;
+    char *memory;
+} axes_one;
+
+typedef struct {
+    const hystmpc_axes *a;
+    real *last; /* u sent last (n) */
+    axes_one axis[HYSTMPC_AXES];
+    int horizon;
+} axes_call;
+
+/* A joint program: H samples, n commands. */
+typedef struct {
+    real *program; /* numbers of `hystmpc_step_plan`, and the whole ones */
+    int *whole;
+    real *slopes;   /* of each axis by its travel (2, H, H) */
+    real *jacobian; /* (2, H, n, H) */
+    real *better;   /* (n H + 1): the plans after the solution, and their foreseen cost */
+    real *travels, *y, *theta, *wanted; /* (2, H) */
+    real *state[HYSTMPC_AXES];
+    char *room; /* of the models' functions */
+} axes_joint;
+
+static const hystmpc_problem *axes_problem(const hystmpc_axes *a, int i) { return i ? a->second : a->first; }
+
+static long axes_head_bytes(const hystmpc_axes *a) { return (long)sizeof(real) * ((a->commands + 1) / 2 * 2); }
+
+long hystmpc_axes_bytes(const void *axes) {
+    const hystmpc_axes *const a = axes;
+    return axes_head_bytes(a) + hystmpc_memory_bytes(a->first) + hystmpc_memory_bytes(a->second);
+}
+
+static void axes_open(const hystmpc_axes *a, char *memory, axes_call *c) {
+    memset(c, 0, sizeof *c);
+    c->a = a;
+    c->last = (real *)(void *)memory;
+    memory += axes_head_bytes(a);
+    for (int i = 0; i < HYSTMPC_AXES; i++) {
+        c->axis[i].p = axes_problem(a, i);
+        c->axis[i].memory = memory;
+        hystmpc_memory_at(c->axis[i].p, memory, &c->axis[i].m);
+        memory += hystmpc_memory_bytes(c->axis[i].p);
+    }
+    c->horizon = a->first->law->horizon;
+}
+
+/* Numbers for a joint program: slopes of each axis and of all, plans, angles, and those of `hystmpc_step_plan`. */
+static long axes_program(const hystmpc_law *l) {
+    const int n = hystmpc_program_unknowns(l), rows = hystmpc_program_rows(l), slacks = hystmpc_program_slacks(l);
+    return hystmpc_qp_reals(n, rows, slacks) + (long)hystmpc_program_angles(l) * n;
+}
+
+/* to_i = sum_j by (i, j) x_j over rows of numbers; what has no share is not read, and may be not-a-number. */
+static void axes_map(const real *by, int rows, int columns, const real *x, int apart, real *to, int to_apart) {
+    for (int i = 0; i < rows; i++) {
+        real sum = R(0.0);
+        for (int j = 0; j < columns; j++)
+            if (by[i * columns + j] != R(0.0)) sum += by[i * columns + j] * x[j * apart];
+        to[i * to_apart] = sum;
+    }
+}
+
+/* Travels w (2) of the axes by commands (n), and the commands for travels. */
+static void axes_travels(const hystmpc_axes *a, const real *u, int apart, real *w, int w_apart) {
+    axes_map(a->mix, HYSTMPC_AXES, a->commands, u, apart, w, w_apart);
+}
+
+static void axes_commands(const hystmpc_axes *a, const real *w, int apart, real *u, int u_apart) {
+    real off[HYSTMPC_AXES];
+    axes_travels(a, a->rest, 1, off, 1);
+    for (int i = 0; i < HYSTMPC_AXES; i++) off[i] = w[i * apart] - off[i];
+    axes_map(a->unmix, a->commands, HYSTMPC_AXES, off, 1, u, u_apart);
+    for (int j = 0; j < a->commands; j++) u[j * u_apart] += a->rest[j];
+}
+
+/* The nearest admissible commands (n) behind others, in place; answers their greatest change, in shares of the greatest
+ * move. Where one is no number the last one stays. */
+static real axes_limit(const hystmpc_axes *a, const real *before, int before_apart, real *u, int apart) {
+    real off = R(0.0);
+    for (int j = 0; j < a->commands; j++) {
+        const real at = clamp(before[j * before_apart], a->lower[j], a->upper[j]), asked = u[j * apart];
+        const real low = most(a->lower[j], at - a->reach[j]), high = least(a->upper[j], at + a->reach[j]);
+        u[j * apart] = clamp(is_finite(asked) ? asked : at, low, high);
+        const real moved = is_finite(asked) ? absolute(u[j * apart] - asked) / a->reach[j] : INFINITE;
+        off = most(off, moved);
+    }
+    return off;
+}
+
+int hystmpc_axes_init(const void *axes, char *memory, const real *x, const real *angles_deg, const real *commands,
+                      char *room) {
+    const hystmpc_axes *const a = axes;
+    axes_call c;
+    real y[HYSTMPC_AXES], w[HYSTMPC_AXES];
+    int answer = HYSTMPC_STARTED;
+    axes_open(a, memory, &c);
+    axes_map(a->unframe, HYSTMPC_AXES, HYSTMPC_AXES, angles_deg, 1, y, 1);
+    axes_travels(a, commands, 1, w, 1);
+    copy(commands, c.last, a->commands);
+    for (int j = 0; j < a->commands; j++) {
+        if (a->lower[j] <= commands[j] && commands[j] <= a->upper[j]) continue;
+        answer = HYSTMPC_BAD_COMMAND;
+        c.last[j] = is_finite(commands[j]) ? clamp(commands[j], a->lower[j], a->upper[j]) : a->rest[j];
+    }
+    for (int i = 0; i < HYSTMPC_AXES && answer == HYSTMPC_STARTED; i++) {
+        const hystmpc_problem *const p = c.axis[i].p;
+        answer = hystmpc_controller_init(p, c.axis[i].memory, x, y[i], clamp(w[i], p->lower, p->upper), room);
+        if (x && p->model) x += p->model->predictor->states;
+    }
+    if (answer != HYSTMPC_STARTED) hystmpc_axes_stop(axes, memory);
+    return answer;
+}
+
+/* Commands (n) for travels w (2) behind others: those, where they pull so already. */
+static void axes_pull(const hystmpc_axes *a, const real *w, const real *before, int before_apart, real *u, int apart) {
+    real pulled[HYSTMPC_AXES];
+    int same = 1;
+    axes_travels(a, before, before_apart, pulled, 1);
+    for (int i = 0; i < HYSTMPC_AXES; i++) same &= absolute(w[i] - pulled[i]) <= axes_same * axes_problem(a, i)->reach;
+    if (!same) axes_commands(a, w, 1, u, apart);
+    for (int j = 0; same && j < a->commands; j++) u[j * apart] = before[j * before_apart];
+}
+
+/* Whether both axes plan over the whole horizon, so that their plans can be weighed. */
+static int axes_plan(const axes_call *c) {
+    int plan = c->a->law != NULL;
+    for (int i = 0; i < HYSTMPC_AXES; i++)
+        plan &= c->axis[i].out.source == HYSTMPC_MPC && c->axis[i].out.status == HYSTMPC_OK &&
+                c->axis[i].out.planned == c->horizon;
+    return plan;
+}
+
+/* Admissible commands (n, H) along both plans; answers by how much the limits move them. */
+static real axes_admit(const axes_call *c, real *plans) {
+    const int h = c->horizon;
+    real off = R(0.0);
+    for (int k = 0; k < h; k++) {
+        const real w[HYSTMPC_AXES] = {c->axis[0].out.commands[k], c->axis[1].out.commands[k]};
+        const real *const before = k ? plans + k - 1 : c->last;
+        axes_pull(c->a, w, before, k ? h : 1, plans + k, h);
+        off = most(off, axes_limit(c->a, before, k ? h : 1, plans + k, h));
+    }
+    return off;
+}
+
+/* What the models answer to commands (n, H): travels (2, H), angles y (2, H) and theta (2, H), without disturbances; 0, or
+ * another number. */
+static int axes_answer(const axes_call *c, const real *plans, axes_joint *q) {
+    const int h = c->horizon;
+    for (int k = 0; k < h; k++) axes_travels(c->a, plans + k, h, q->travels + k, h);
+    for (int i = 0; i < HYSTMPC_AXES; i++)
+        if (hystmpc_model_run(c->axis[i].p->model, q->state[i], 1, h, q->travels + i * h, q->y + i * h, q->room)) return 1;
+    for (int k = 0; k < h; k++) axes_map(c->a->frame, HYSTMPC_AXES, HYSTMPC_AXES, q->y + k, h, q->theta + k, h);
+    return 0;
+}
+
+/* J (2, H, n, H) of the angles theta by the commands, A (dy / dw) M, along the travels; 0, or another number. */
+static int axes_slopes(const axes_call *c, axes_joint *q) {
+    const hystmpc_axes *const a = c->a;
+    const int h = c->horizon, n = a->commands;
+    real *to = q->jacobian;
+    for (int i = 0; i < HYSTMPC_AXES; i++) {
+        real *const slopes = q->slopes + i * h * h;
+        fill(slopes, R(0.0), h * h);
+        if (hystmpc_model_linearise(c->axis[i].p->model, q->state[i], h, q->travels + i * h, q->y + i * h, slopes, q->room))
+            return 1;
+    }
+    for (int o = 0; o < HYSTMPC_AXES; o++)
+        for (int k = 0; k < h; k++)
+            for (int j = 0; j < n; j++, to += h) {
+                fill(to, R(0.0), h);
+                for (int i = 0; i < HYSTMPC_AXES; i++) {
+                    const real share = a->frame[o * HYSTMPC_AXES + i] * a->mix[i * n + j];
+                    add_rows(to, k + 1, &share, 1, q->slopes + (i * h + k) * h, h, 1);
+                }
+            }
+    return 0;
+}
+
+static long axes_joint_room(const hystmpc_axes *a) {
+    const long h = a->first->law->horizon, n = a->commands;
+    long numbers = room_for(axes_program(a->law)) + room_for(2L * hystmpc_program_unknowns(a->law));
+    numbers += room_for(2 * h * h) + room_for(2 * h * n * h) + room_for(n * h + 1) + 4 * room_for(2 * h);
+    for (int i = 0; i < HYSTMPC_AXES; i++) numbers += room_for(hystmpc_model_states(axes_problem(a, i)->model));
+    return numbers;
+}
+
+long hystmpc_axes_room_bytes(const void *axes) {
+    const hystmpc_axes *const a = axes;
+    const long h = a->first->law->horizon, samples = hystmpc_reference_samples(a->first);
+    long inner = longer(hystmpc_room_bytes(a->first), hystmpc_room_bytes(a->second));
+    for (int i = 0; i < HYSTMPC_AXES; i++)
+        if (axes_problem(a, i)->model) inner = longer(inner, hystmpc_model_bytes(axes_problem(a, i)->model, 1, (int)h));
+    return 2L * ROOM_LINE + room_for(2 * samples) + room_for(a->commands * h) + 2 * room_for(2 * h) +
+           (a->law ? axes_joint_room(a) : 0L) + inner;
+}
+
+/* Memory of a joint program, the states from which predictions start, and what is wanted of the models (2, H). */
+static void axes_lay_out(const axes_call *c, const real *reference, axes_joint *q, char *room) {
+    const hystmpc_axes *const a = c->a;
+    const long h = c->horizon, n = a->commands;
+    const int delay = a->first->sensing->delay;
+    q->program = room_take(&room, axes_program(a->law));
+    q->whole = (int *)(void *)room_take(&room, 2L * hystmpc_program_unknowns(a->law));
+    q->slopes = room_take(&room, 2 * h * h);
+    q->jacobian = room_take(&room, 2 * h * n * h);
+    q->better = room_take(&room, n * h + 1);
+    real **const rows[4] = {&q->travels, &q->y, &q->theta, &q->wanted};
+    for (int i = 0; i < 4; i++) *rows[i] = room_take(&room, 2 * h);
+    for (int i = 0; i < HYSTMPC_AXES; i++) {
+        const hystmpc_problem *const p = c->axis[i].p;
+        q->state[i] = room_take(&room, hystmpc_model_states(p->model));
+        hystmpc_observer_state(p->sensing, p->model, &c->axis[i].m.observed, q->state[i]);
+        const real off = c->axis[i].m.observed.now.known->disturbance;
+        for (int k = 0; k < h; k++) q->y[i * h + k] = reference[i * (h + delay) + delay + k] - off;
+    }
+    for (int k = 0; k < h; k++) axes_map(a->frame, HYSTMPC_AXES, HYSTMPC_AXES, q->y + k, (int)h, q->wanted + k, (int)h);
+    q->room = room;
+}
+
+/* The better one of the admitted plans and that of one program for all commands, in place; the axes' proposals become its
+ * travels and angles. 0, or another number where a model from outside has failed. */
+static int axes_weigh(axes_call *c, const real *reference, real *plans, char *room) {
+    const hystmpc_axes *const a = c->a;
+    const int h = c->horizon, n = a->commands;
+    hystmpc_task tasks[HYSTMPC_PULLS];
+    axes_joint q;
+    axes_lay_out(c, reference, &q, room);
+    for (int j = 0; j < n; j++) {
+        tasks[j] = (hystmpc_task){q.wanted, plans + j * h, c->last[j], a->first->law->rate_weight, -INFINITE, INFINITE, NULL};
+        if (j < HYSTMPC_AXES) tasks[j].reference += j * h;
+        if (j) tasks[j - 1].next = tasks + j;
+    }
+    if (axes_answer(c, plans, &q)) return 1;
+    const real before = hystmpc_plan_cost(a->law, tasks, plans, q.theta);
+    if (axes_slopes(c, &q)) return 1;
+    if (hystmpc_step_plan(a->law, tasks, q.jacobian, plans, q.theta, a->changes, q.program, q.whole, q.better,
+                          q.better + n * h) >= 0) {
+        if (axes_answer(c, q.better, &q)) return 1;
+        if (hystmpc_plan_cost(a->law, tasks, q.better, q.theta) < before) copy(q.better, plans, n * h);
+    }
+    if (axes_answer(c, plans, &q)) return 1;
+    for (int i = 0; i < HYSTMPC_AXES; i++) {
+        copy(q.travels + i * h, c->axis[i].out.commands, h);
+        copy(q.y + i * h, c->axis[i].out.angles, h);
+    }
+    return 0;
+}
+
+/* Proposals of both axes; 0 where nothing has been started. A stop of one is a stop of both. */
+static int axes_propose(axes_call *c, const real *angles_deg, const real *reference, char *room) {
+    real y[HYSTMPC_AXES];
+    int begun = 1;
+    axes_map(c->a->unframe, HYSTMPC_AXES, HYSTMPC_AXES, angles_deg, 1, y, 1);
+    if (c->axis[0].m.head->stopped || c->axis[1].m.head->stopped)
+        for (int i = 0; i < HYSTMPC_AXES; i++) hystmpc_controller_stop(c->axis[i].p, c->axis[i].memory);
+    for (int i = 0; i < HYSTMPC_AXES; i++) {
+        axes_one *const one = c->axis + i;
+        const real *const wanted = reference ? reference + i * hystmpc_reference_samples(one->p) : NULL;
+        begun &= hystmpc_controller_begin(one->p, &one->m, y[i], wanted, &one->out, room);
+    }
+    return begun;
+}
+
+/* Angles theta of what the axes foretell, in the plan's last two rows; not-a-number where an axis foretells nothing. */
+static void axes_foretell(const axes_call *c, real *angles) {
+    const int h = c->horizon;
+    for (int k = 0; k < h; k++) {
+        const real y[HYSTMPC_AXES] = {c->axis[0].out.angles[k], c->axis[1].out.angles[k]};
+        axes_map(c->a->frame, HYSTMPC_AXES, HYSTMPC_AXES, y, 1, angles + k, h);
+    }
+}
+
+int hystmpc_axes_step(const void *axes, char *memory, const real *angles_deg, const real *reference, real *u,
+                      void *answers, real *plan, char *room) {
+    const hystmpc_axes *const a = axes;
+    const int samples = hystmpc_reference_samples(a->first);
+    hystmpc_command *const answer = answers;
+    axes_call c;
+    axes_open(a, memory, &c);
+    const int h = c.horizon, n = a->commands;
+    room = room_begin(room);
+    real *const in_y = room_take(&room, 2L * samples), *const plans = room_take(&room, (long)n * h);
+    for (int i = 0; i < HYSTMPC_AXES; i++) {
+        c.axis[i].out.commands = room_take(&room, 2L * h);
+        c.axis[i].out.angles = c.axis[i].out.commands + h;
+        fill(c.axis[i].out.angles, (real)NAN, h);
+    }
+    memset(answer, 0, HYSTMPC_AXES * sizeof *answer);
+    for (int k = 0; reference && k < samples; k++)
+        axes_map(a->unframe, HYSTMPC_AXES, HYSTMPC_AXES, reference + k, samples, in_y + k, samples);
+    if (!axes_propose(&c, angles_deg, reference ? in_y : NULL, room)) {
+        for (int j = 0; j < n; j++) u[j] = clamp(is_finite(c.last[j]) ? c.last[j] : a->rest[j], a->lower[j], a->upper[j]);
+        for (int i = 0; i < HYSTMPC_AXES; i++)
+            answer[i] = (hystmpc_command){.predicted_deg = (real)NAN, .source = HYSTMPC_STOP, .status = HYSTMPC_LATCHED};
+        if (plan) fill(plan, (real)NAN, (n + HYSTMPC_AXES) * h);
+        return HYSTMPC_AXES;
+    }
+    if (!reference)
+        for (int i = 0; i < HYSTMPC_AXES; i++) fill(in_y + i * samples, c.axis[i].m.head->target, samples);
+    const int planned = axes_plan(&c);
+    if (planned && axes_admit(&c, plans) > axes_grain && axes_weigh(&c, in_y, plans, room))
+        for (int i = 0; i < HYSTMPC_AXES; i++) c.axis[i].out.status = HYSTMPC_FAILED;
+    if (planned) {
+        for (int j = 0; j < n; j++) u[j] = plans[j * h];
+    } else {
+        const real w[HYSTMPC_AXES] = {c.axis[0].out.u, c.axis[1].out.u};
+        axes_pull(a, w, c.last, 1, u, 1);
+    }
+    (void)axes_limit(a, c.last, 1, u, 1);
+    copy(u, c.last, n);
+    real w[HYSTMPC_AXES];
+    int unusual = 0;
+    axes_travels(a, u, 1, w, 1);
+    for (int i = 0; i < HYSTMPC_AXES; i++) {
+        axes_one *const one = c.axis + i;
+        one->out.u = w[i];
+        unusual += hystmpc_controller_finish(one->p, &one->m, &one->out, plan != NULL, answer + i, room);
+    }
+    if (plan && planned) copy(plans, plan, n * h);
+    if (plan) axes_foretell(&c, plan + n * h);
+    return unusual;
+}
+
+void hystmpc_axes_target(const void *axes, char *memory, const real *angles_deg) {
+    axes_call c;
+    real y[HYSTMPC_AXES];
+    axes_open(axes, memory, &c);
+    axes_map(c.a->unframe, HYSTMPC_AXES, HYSTMPC_AXES, angles_deg, 1, y, 1);
+    for (int i = 0; i < HYSTMPC_AXES; i++) hystmpc_controller_target(c.axis[i].p, c.axis[i].memory, y[i]);
+}
+
+int hystmpc_axes_measure(const void *axes, char *memory, const real *angles_deg, real age) {
+    axes_call c;
+    real y[HYSTMPC_AXES];
+    int used = 1;
+    axes_open(axes, memory, &c);
+    axes_map(c.a->unframe, HYSTMPC_AXES, HYSTMPC_AXES, angles_deg, 1, y, 1);
+    for (int i = 0; i < HYSTMPC_AXES; i++) used &= hystmpc_controller_measure(c.axis[i].p, c.axis[i].memory, y[i], age);
+    return used;
+}
+
+int hystmpc_axes_look_on(const void *axes, char *memory, const real *angles_deg, const real *commands, char *room) {
+    axes_call c;
+    real y[HYSTMPC_AXES], w[HYSTMPC_AXES];
+    int failed = 0;
+    axes_open(axes, memory, &c);
+    axes_map(c.a->unframe, HYSTMPC_AXES, HYSTMPC_AXES, angles_deg, 1, y, 1);
+    for (int j = 0; j < c.a->commands; j++)
+        if (is_finite(commands[j])) c.last[j] = clamp(commands[j], c.a->lower[j], c.a->upper[j]);
+    axes_travels(c.a, c.last, 1, w, 1);
+    for (int i = 0; i < HYSTMPC_AXES; i++)
+        failed += hystmpc_controller_look_on(c.axis[i].p, c.axis[i].memory, y[i], w[i], room);
+    return failed;
+}
+
+void hystmpc_axes_held(const void *axes, char *memory, const real *commands) {
+    axes_call c;
+    real w[HYSTMPC_AXES];
+    axes_open(axes, memory, &c);
+    copy(commands, c.last, c.a->commands);
+    axes_travels(c.a, c.last, 1, w, 1);
+    for (int i = 0; i < HYSTMPC_AXES; i++) hystmpc_controller_held(c.axis[i].p, c.axis[i].memory, w[i]);
+}
+
+void hystmpc_axes_hurry(const void *axes, char *memory) {
+    axes_call c;
+    axes_open(axes, memory, &c);
+    for (int i = 0; i < HYSTMPC_AXES; i++) hystmpc_controller_hurry(c.axis[i].p, c.axis[i].memory);
+}
+
+void hystmpc_axes_stop(const void *axes, char *memory) {
+    axes_call c;
+    axes_open(axes, memory, &c);
+    for (int i = 0; i < HYSTMPC_AXES; i++) hystmpc_controller_stop(c.axis[i].p, c.axis[i].memory);
+}

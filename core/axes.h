@@ -1,0 +1,61 @@
+/* Two bending axes of one device: a controller for each, and one program for both where the commands' limits bind.
+ *
+ *     w = M u,    y_i = f_i(w_i),    theta = A y
+ *
+ * Of n commands u (tendons or chambers) each axis pulls by its travel w_i; the model of an axis, with drive and
+ * hysteresis, answers y_i; the sensor sees both in its frame. In y and w the axes are separate problems, of which each
+ * keeps its observer, its learning, its holds and its fallbacks. What they share are the limits of u:
+ *
+ * The axes propose plans of w. The commands that pull by them with the least distance from the rest u_0 are
+ * u = u_0 + N (w - M u_0) with M N = 1. Where all are admissible they are optimal. Where not, one quadratic program in the
+ * commands of all, with the Jacobian A dy/dw M, decides between the axes.
+ *
+ * A memory is u as sent last (n), then the memories of both axes. */
+#ifndef HYSTMPC_AXES_H
+#define HYSTMPC_AXES_H
+
+#include "controller.h"
+
+enum {
+    HYSTMPC_AXES = 2,
+    HYSTMPC_PULLS = 6 /* commands, at most */
+};
+
+typedef struct {
+    const hystmpc_problem *first, *second; /* in y and w: their limits are those that u allows each alone */
+    int commands;         /* n */
+    int changes;          /* of the active set in one program */
+    const real *mix;      /* M (2, n) */
+    const real *unmix;    /* N (n, 2) */
+    const real *rest;     /* u_0 (n) */
+    const real *frame;    /* A (2, 2) */
+    const real *unframe;  /* its inverse */
+    const real *lower, *upper, *reach; /* of every command; its greatest change in a sample (n) */
+    const hystmpc_law *law; /* of both angles theta and all commands; null: no plans are made */
+} hystmpc_axes;
+
+/* Bytes of a memory, and of the room for any call. */
+HYSTMPC_API long hystmpc_axes_bytes(const void *axes);
+HYSTMPC_API long hystmpc_axes_room_bytes(const void *axes);
+
+/* As `hystmpc_controller_init`, with the states of both models one after the other, angles (2) and commands (n). Where an
+ * axis refuses, both stand still. */
+HYSTMPC_API int hystmpc_axes_init(const void *axes, char *memory, const real *x, const real *angles_deg,
+                                  const real *commands, char *room);
+
+/* One step. angles_deg (2), not-a-number where one is missing; reference (2, S) or null; u (n): the commands to send;
+ * answers: two structs `hystmpc_command`, of which u is the axis's travel w and angles are y. plan (n + 2, H): commands, and
+ * angles theta, disturbance included; null for none. Answers how many of the axes say something unusual. */
+HYSTMPC_API int hystmpc_axes_step(const void *axes, char *memory, const real *angles_deg, const real *reference,
+                                  real *u, void *answers, real *plan, char *room);
+
+/* As the functions of controller.h, for both axes: angles (2), commands (n). */
+HYSTMPC_API void hystmpc_axes_target(const void *axes, char *memory, const real *angles_deg);
+HYSTMPC_API int hystmpc_axes_measure(const void *axes, char *memory, const real *angles_deg, real age);
+HYSTMPC_API int hystmpc_axes_look_on(const void *axes, char *memory, const real *angles_deg, const real *commands,
+                                     char *room);
+HYSTMPC_API void hystmpc_axes_held(const void *axes, char *memory, const real *commands);
+HYSTMPC_API void hystmpc_axes_hurry(const void *axes, char *memory);
+HYSTMPC_API void hystmpc_axes_stop(const void *axes, char *memory);
+
+#endif

@@ -1,0 +1,323 @@
+"""Guarded controller of two axes: a controller for each, the commands of both within their limits, as one call."""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass, field
+from time import perf_counter
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hystmpc.core.library import HoldsAddresses, engine
+from hystmpc.core.outside import faults, forget_faults
+from hystmpc.core.rooms import in_room
+from hystmpc.core.structs import Struct, constants, layout, struct
+from hystmpc.models.model import Inverse, Predictor
+from hystmpc.models.prediction.build import controller_model
+from hystmpc.models.simulator import ChainModel
+from hystmpc.models.two_axes.model import AXES, TwoAxisModel
+from hystmpc.trials.brief import brief
+from hystmpc.trials.errors import ControllerError, shown
+from hystmpc.trials.types import Vec
+
+from ..answers import SOURCES
+from ..build import build_controller, pair_for
+from ..command import EMPTY, CommandLimits, Source, Timing, numbers_of, replace
+from ..config import AnyControllerSettings
+from ..estimation.observer import Bytes, usable_angle
+from ..guarded import GuardedController, GuardedState
+from ..law_tables import law_over
+from ..mpc_settings import LinearisedMpcSettings
+from ..planner.reach import angles_at_rest
+from ..problem import CHANGES
+
+_STARTED, _PREDICTIVE = constants()["HYSTMPC_STARTED"], constants()["HYSTMPC_PREDICTIVE"]
+_COMMAND = layout("hystmpc_command")
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class TwoAxisCommand:
+    """Commands of one step of a device with two axes, with the plan and the prediction behind them.
+
+    Attributes:
+        u: commands (n,), always finite and within the limits on value and rate.
+        source: the worse level of fallback of both axes.
+        status: `ok`, or what was unusual of which axis, in one line.
+        plan: planned commands (H, n); empty where an axis does not plan.
+        predicted: predicted angles (H, 2) [deg] at the ends of this and the next samples, disturbances included.
+        disturbance: estimated differences between device and model (2,) [deg].
+        timing: of the step.
+    """
+
+    u: Vec
+    source: Source = Source.HOLD
+    status: str = "ok"
+    plan: Vec = field(default_factory=lambda: EMPTY)
+    predicted: Vec = field(default_factory=lambda: EMPTY)
+    disturbance: Vec = field(default_factory=lambda: EMPTY)
+    timing: Timing = field(default_factory=Timing)
+    __repr__ = brief
+
+
+@dataclass(frozen=True, eq=False)
+class TwoAxisState:
+    """Complete state of a controller of two axes.
+
+    Attributes:
+        memory: bytes of the engine (B,), never changed, see core/axes.h.
+        axes: the same as states of two controllers, to be read.
+        cause: why the stop is latched.
+        refusal: why the next step has no time for a plan; empty if it has.
+    """
+
+    memory: Bytes
+    parts: tuple[slice, slice]
+    first: GuardedState
+    second: GuardedState
+    commands: int
+    cause: str = "after repeated failures"
+    refusal: str = ""
+    __repr__ = brief
+
+    @property
+    def axes(self) -> tuple[GuardedState, GuardedState]:
+        """States of both axes, in their coordinates w and y."""
+        return self.first, self.second
+
+    @property
+    def command(self) -> Vec:
+        """Commands that the device holds (n,)."""
+        return self.memory[: 8 * self.commands].view(np.float64).copy()
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the stop is latched."""
+        return self.first.stopped or self.second.stopped
+
+
+@final
+class TwoAxisController(HoldsAddresses):
+    """Controller of a device with two bending axes: its step never raises, its commands never leave the limits.
+
+    Each axis has its own observer, learning, hold and fallbacks, in the coordinates of the axes. Where the limits of
+    the commands bind, one quadratic program decides between the axes, see core/axes.h.
+
+    Args:
+        model: of the device; its limits are those of the commands.
+        settings: of any controller; both axes have the same.
+
+    Raises:
+        ControllerError: if the settings contradict each other or the model.
+    """
+
+    def __init__(self, model: TwoAxisModel, settings: AnyControllerSettings) -> None:
+        settings = settings.resolved()
+        if settings.limits is not None:
+            raise ControllerError("two axes: got controller.limits of one command, expected `limits` with a list each")
+        if getattr(settings, "weights", None) is not None and settings.weights.limits_angle:  # type: ignore[union-attr]
+            raise ControllerError("two axes: got weights.angle_limits_deg of one angle, expected none")
+        self.model = model
+        self.limits = tuple(
+            CommandLimits(limits.lower, limits.upper, rate)
+            for limits, rate in zip(model.command_limits, model.command_rates_per_s, strict=True)
+        )
+        pairs, travels = _pairs(model, settings), [CommandLimits(*ends) for ends in model.travel_limits()]
+        x, y = (build_controller(settings, *pair, ends) for pair, ends in zip(pairs, travels, strict=True))
+        self._axes = x, y
+        self._ends = [
+            angles_at_rest(pair[0], ends, axis.trained_angle_deg.lower)
+            for pair, ends, axis in zip(pairs, travels, model.axes, strict=True)
+        ]
+        self.problem = _problem(model, settings, self.limits, self._axes)
+        self._engine, self._address = engine(), self.problem.address
+        self._bytes = int(self._engine.axes_bytes(self._address))
+        self._room = int(self._engine.axes_room_bytes(self._address))
+        sizes = [int(self._engine.memory_bytes(axis.problem.address)) for axis in self._axes]
+        head = self._bytes - sum(sizes)
+        self._parts = slice(head, head + sizes[0]), slice(head + sizes[0], self._bytes)
+        self.horizon = self._axes[0].horizon
+        self._planned = int(self._axes[0].problem.fields["law"].fields["horizon"])
+
+    @property
+    def dt(self) -> float:
+        """Sample time [s]."""
+        return self._axes[0].dt
+
+    def init(self, angles_deg: ArrayLike, commands: ArrayLike) -> TwoAxisState:
+        """State at rest at angles (2,) [deg] under commands (n,).
+
+        Raises:
+            ControllerError: if one is not finite or beyond the limits, or a model fails at rest.
+        """
+        angles, held = usable_angles(angles_deg), numbers_of(commands)
+        inside = held.shape == (len(self.limits),) and all(
+            limits.lower <= u <= limits.upper for u, limits in zip(held, self.limits, strict=True)
+        )
+        if not (np.all(np.isfinite(angles)) and inside):
+            raise ControllerError(
+                f"controller: got a start at {shown(angles_deg, 60)} deg with commands {shown(commands, 60)}, expected "
+                f"two finite angles and {len(self.limits)} commands within the limits"
+            )
+        y, w = self.model.in_axes(angles), self.model.travels(held)
+        begun = [axis.init(float(y[i]), _within(axis, float(w[i]))) for i, axis in enumerate(self._axes)]
+        memory = np.zeros(self._bytes, dtype=np.uint8)
+        memory[: held.nbytes] = held.view(np.uint8)
+        for part, state in zip(self._parts, begun, strict=True):
+            memory[part] = state.memory
+        return self._state(memory)
+
+    def step(
+        self, state: TwoAxisState, angles_deg: ArrayLike, reference: ArrayLike
+    ) -> tuple[TwoAxisCommand, TwoAxisState]:
+        """Compute the commands of one sample.
+
+        Args:
+            angles_deg: measured angles (2,) [deg]; not-a-number where there is none.
+            reference: wanted angles (H, 2) [deg] at the ends of this and the next samples; empty for a hold.
+        """
+        began = perf_counter()
+        wanted, fault = numbers_of(reference), ""
+        if wanted.ndim != AXES or wanted.shape[0] < self.horizon or wanted.shape[1] != AXES:
+            fault = f"reference: got shape {wanted.shape}, expected ({self.horizon}, 2)"
+            wanted = np.full((self.horizon, AXES), np.nan)
+        wanted = np.ascontiguousarray(wanted[: self.horizon].T)
+        n, memory, answers = len(self.limits), state.memory.copy(), (_COMMAND * AXES)()
+        u, numbers = np.empty(n), np.empty((n + AXES, self._planned))
+        if state.refusal:
+            self._engine.axes_hurry(self._address, memory)
+        forget_faults()
+        unusual = in_room(
+            self._room, self._engine.axes_step, self._address, memory, usable_angles(angles_deg), wanted, u,
+            ctypes.addressof(answers), numbers,
+        )  # fmt: skip
+        after = self._state(memory, state.cause)
+        sources = [SOURCES[answer.source] for answer in answers]
+        planned = min(answer.planned for answer in answers)
+        departures = np.array([answer.departure_deg for answer in answers])
+        command = TwoAxisCommand(
+            u,
+            max(sources, key=list(Source).index),
+            self._status(state, after, answers, fault) if unusual else "ok",
+            plan=numbers[:n, :planned].T,
+            predicted=numbers[n:, : planned or 1].T,
+            disturbance=np.asarray(departures @ self.model.turn.T),
+            timing=Timing({"step": perf_counter() - began}),
+        )
+        return command, after
+
+    def measure(self, state: TwoAxisState, angles_deg: ArrayLike, age: float) -> TwoAxisState:
+        """Measurement update with angles (2,) [deg] taken `age` samples before the next step.
+
+        Raises:
+            ControllerError: if the observers accept no late measurements, or none of that age.
+        """
+        memory, angles = state.memory.copy(), usable_angles(angles_deg)
+        forget_faults()
+        if not self._engine.axes_measure(self._address, memory, angles, max(age, 0.0)):
+            reason = "; ".join(faults()) or f"angles {shown(angles_deg, 60)} deg of age {age:.3g} samples are unusable"
+            raise ControllerError(f"measure: {reason}")
+        return self._state(memory, state.cause)
+
+    def stop(self, state: TwoAxisState, cause: str) -> TwoAxisState:
+        """State with the stop of both axes latched, until a new `init`."""
+        memory = state.memory.copy()
+        self._engine.axes_stop(self._address, memory)
+        return self._state(memory, cause)
+
+    def holding(self, state: TwoAxisState, commands: ArrayLike) -> TwoAxisState:
+        """State in which the device holds commands (n,) in place of those sent last."""
+        memory = state.memory.copy()
+        self._engine.axes_held(self._address, memory, np.ascontiguousarray(commands, dtype=np.float64))
+        return self._state(memory, state.cause)
+
+    def nearest(self, angles_deg: Vec, disturbance_deg: Vec) -> tuple[Vec, Vec]:
+        """Angles (2,) [deg] nearest to the wanted ones that commands within the limits can hold, and these commands.
+
+        Each axis is taken as a line between its rests at both ends of its travel.
+        """
+        ends = [np.array(pair) for pair in self._ends]
+        travels = [np.array([axis.limits.lower, axis.limits.upper]) for axis in self._axes]
+        y = self.model.in_axes(angles_deg - disturbance_deg)
+        w = [float(np.interp(y[i], ends[i], travels[i])) for i in range(AXES)]
+        commands = np.clip(
+            self.model.commands(w), [one.lower for one in self.limits], [one.upper for one in self.limits]
+        )
+        held = self.model.travels(commands)
+        nearest = np.array([float(np.interp(held[i], travels[i], ends[i])) for i in range(AXES)])
+        return self.model.turn @ nearest + disturbance_deg, commands
+
+    def measured_deg(self, state: TwoAxisState) -> Vec:
+        """Last accepted measurement (2,) [deg]."""
+        return self.model.turn @ np.array([axis.known.measured for axis in state.axes])
+
+    def sigma_deg(self, state: TwoAxisState) -> Vec:
+        """Standard deviations of the errors of the estimated angles (2,) [deg]; not-a-number where unknown."""
+        sigmas = [axis.sigma_deg(part) for axis, part in zip(self._axes, state.axes, strict=True)]
+        return np.asarray(np.sqrt(self.model.turn**2 @ np.square(sigmas)))
+
+    def _state(self, memory: Bytes, cause: str = "after repeated failures") -> TwoAxisState:
+        first, second = (
+            GuardedState(memory[part], axis.places) for part, axis in zip(self._parts, self._axes, strict=True)
+        )
+        return TwoAxisState(memory, self._parts, first, second, len(self.limits), cause)
+
+    def _status(self, before: TwoAxisState, after: TwoAxisState, answers: Any, fault: str) -> str:
+        words = []
+        for name, axis, old, new, answer in zip("xy", self._axes, before.axes, after.axes, answers, strict=True):
+            said = axis.status(replace(old, cause=before.cause, refusal=before.refusal), new, answer, fault)
+            if said != "ok":
+                words.append(f"{name}: {said}")
+        return "; ".join(words) or "ok"
+
+
+def usable_angles(angles_deg: object) -> Vec:
+    """Two angles (2,) [deg] of whatever was measured; not-a-number for what cannot be used."""
+    angles = numbers_of(angles_deg)
+    if angles.shape != (AXES,):
+        return np.full(AXES, np.nan)
+    return np.array([usable_angle(float(angle)) for angle in angles])
+
+
+def _within(axis: GuardedController, travel: float) -> float:
+    return min(max(travel, axis.limits.lower), axis.limits.upper)
+
+
+def _pairs(model: TwoAxisModel, settings: AnyControllerSettings) -> list[tuple[Predictor, Inverse]]:
+    """Predictor and inverse of each axis."""
+    return [pair_for(settings, controller_model(ChainModel(axis, "conditioned"))) for axis in model.axes]
+
+
+def _problem(
+    model: TwoAxisModel,
+    settings: AnyControllerSettings,
+    limits: tuple[CommandLimits, ...],
+    axes: tuple[GuardedController, GuardedController],
+) -> Struct:
+    """Struct `hystmpc_axes` of both controllers."""
+    law = None
+    first = axes[0].problem.fields["law"]
+    if isinstance(settings, LinearisedMpcSettings) and first.fields["kind"] == _PREDICTIVE:
+        horizon = int(first.fields["horizon"])
+        for number in reversed(range(len(limits))):
+            law = law_over(settings.weights, horizon, limits[number], model.dt_s, settings.blocks(model.dt_s), law)
+            if number >= AXES:  # a command without an angle
+                law = struct("hystmpc_law", **{k: v for k, v in law.fields.items() if k != "tracking"})
+    return struct(
+        "hystmpc_axes",
+        first=axes[0].problem,
+        second=axes[1].problem,
+        commands=len(limits),
+        changes=CHANGES,
+        mix=model.matrix,
+        unmix=model.unmix,
+        rest=np.array(model.rest_commands),
+        frame=model.turn,
+        unframe=np.linalg.inv(model.turn),
+        lower=np.array([each.lower for each in limits]),
+        upper=np.array([each.upper for each in limits]),
+        reach=np.array([each.rate for each in limits]) * model.dt_s,
+        law=law,
+    )
