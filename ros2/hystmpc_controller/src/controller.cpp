@@ -233,7 +233,7 @@ double HystmpcController::measured_deg() const {
 // It is on a limit where only the conversion of units took it beyond.
 double HystmpcController::told_command() const {
     const double read = value_of(command_interfaces_[0], 0) / command_scale_;
-    if (!std::isfinite(read)) return NONE;
+    if (std::isnan(read)) return NONE;
     const double inside = std::clamp(read, HYSTMPC_LOWEST + 0.0, HYSTMPC_HIGHEST + 0.0);
     return same(read, inside) ? inside : read;
 }
