@@ -22,7 +22,9 @@ typedef struct {
 
 typedef struct {
     const hystmpc_axes *a;
-    real *last; /* u sent last (n) */
+    real *last;  /* u sent last (n) */
+    real *past;  /* the shared friction c (HYSTMPC_PAST, 2), the newest first */
+    real *cross; /* its state */
     axes_one axis[HYSTMPC_AXES];
     int horizon;
 } axes_call;
@@ -41,7 +43,12 @@ typedef struct {
 
 static const hystmpc_problem *axes_problem(const hystmpc_axes *a, int i) { return i ? a->second : a->first; }
 
-static long axes_head_bytes(const hystmpc_axes *a) { return (long)sizeof(real) * ((a->commands + 1) / 2 * 2); }
+static int axes_cross_states(const hystmpc_axes *a) { return a->cross ? hystmpc_cross_states(a->cross) : 0; }
+
+static long axes_head_bytes(const hystmpc_axes *a) {
+    const int numbers = a->commands + (a->cross ? HYSTMPC_AXES * HYSTMPC_PAST : 0) + axes_cross_states(a);
+    return (long)sizeof(real) * ((numbers + 1) / 2 * 2);
+}
 
 long hystmpc_axes_bytes(const void *axes) {
     const hystmpc_axes *const a = axes;
@@ -52,6 +59,8 @@ static void axes_open(const hystmpc_axes *a, char *memory, axes_call *c) {
     memset(c, 0, sizeof *c);
     c->a = a;
     c->last = (real *)(void *)memory;
+    c->past = c->last + a->commands;
+    c->cross = c->past + HYSTMPC_AXES * HYSTMPC_PAST;
     memory += axes_head_bytes(a);
     for (int i = 0; i < HYSTMPC_AXES; i++) {
         c->axis[i].p = axes_problem(a, i);
@@ -105,28 +114,55 @@ static real axes_limit(const hystmpc_axes *a, const real *before, int before_apa
     return off;
 }
 
-int hystmpc_axes_init(const void *axes, char *memory, const real *x, const real *angles_deg, const real *commands,
-                      char *room) {
+/* The nearest one of the remembered samples. */
+static int axes_ago(int age) { return age < 0 ? 0 : age < HYSTMPC_PAST ? age : HYSTMPC_PAST - 1; }
+
+/* Angles y (2) of the axes by measured ones, `age` samples ago, without the shared friction then. */
+static void axes_measured(const axes_call *c, const real *angles_deg, int age, real *y) {
+    axes_map(c->a->unframe, HYSTMPC_AXES, HYSTMPC_AXES, angles_deg, 1, y, 1);
+    if (!c->a->cross) return;
+    for (int i = 0; i < HYSTMPC_AXES; i++) y[i] -= c->past[HYSTMPC_AXES * axes_ago(age) + i];
+}
+
+/* The shared friction of one sample of travels w (2). */
+static void axes_rub(const axes_call *c, const real *w) {
+    if (!c->a->cross) return;
+    for (int k = HYSTMPC_AXES * HYSTMPC_PAST - 1; k >= HYSTMPC_AXES; k--) c->past[k] = c->past[k - HYSTMPC_AXES];
+    hystmpc_cross_run(c->a->cross, 1, w, c->cross, c->past);
+}
+
+/* The shared friction (2, S) at the ends of the coming samples: of commands on their way, then along what is left of both
+ * plans, and a hold behind it. */
+static void axes_foresee(const axes_call *c, int samples, real *travels, real *shared) {
+    real state[2 + 4 * HYSTMPC_CROSS_MOST];
+    const int delay = c->a->first->sensing->delay;
+    fill(shared, R(0.0), HYSTMPC_AXES * samples);
+    if (!c->a->cross) return;
+    for (int i = 0; i < HYSTMPC_AXES; i++) {
+        const hystmpc_memory *const m = &c->axis[i].m;
+        const int left = m->head->planned;
+        for (int k = 0; k < samples; k++)
+            travels[i * samples + k] = left ? m->plan[k < left ? k : left - 1] : m->observed.now.known->command;
+    }
+    copy(c->cross, state, axes_cross_states(c->a));
+    hystmpc_cross_run(c->a->cross, samples, travels, state, shared);
+    for (int i = 0; i < HYSTMPC_AXES && delay; i++) {
+        real *const one = shared + i * samples;
+        for (int k = samples - 1; k >= 0; k--)
+            one[k] = k >= delay ? one[k - delay] : c->past[HYSTMPC_AXES * axes_ago(delay - 1 - k) + i];
+    }
+}
+
+void hystmpc_axes_begin(const void *axes, char *memory, const real *commands) {
     const hystmpc_axes *const a = axes;
     axes_call c;
-    real y[HYSTMPC_AXES], w[HYSTMPC_AXES];
-    int answer = HYSTMPC_STARTED;
+    real w[HYSTMPC_AXES];
     axes_open(a, memory, &c);
-    axes_map(a->unframe, HYSTMPC_AXES, HYSTMPC_AXES, angles_deg, 1, y, 1);
-    axes_travels(a, commands, 1, w, 1);
     copy(commands, c.last, a->commands);
-    for (int j = 0; j < a->commands; j++) {
-        if (a->lower[j] <= commands[j] && commands[j] <= a->upper[j]) continue;
-        answer = HYSTMPC_BAD_COMMAND;
-        c.last[j] = is_finite(commands[j]) ? clamp(commands[j], a->lower[j], a->upper[j]) : a->rest[j];
-    }
-    for (int i = 0; i < HYSTMPC_AXES && answer == HYSTMPC_STARTED; i++) {
-        const hystmpc_problem *const p = c.axis[i].p;
-        answer = hystmpc_controller_init(p, c.axis[i].memory, x, y[i], clamp(w[i], p->lower, p->upper), room);
-        if (x && p->model) x += p->model->predictor->states;
-    }
-    if (answer != HYSTMPC_STARTED) hystmpc_axes_stop(axes, memory);
-    return answer;
+    axes_travels(a, commands, 1, w, 1);
+    if (!a->cross) return;
+    fill(c.past, R(0.0), HYSTMPC_AXES * HYSTMPC_PAST);
+    hystmpc_cross_rest(a->cross, w, c.cross);
 }
 
 /* Commands (n) for travels w (2) behind others: those, where they pull so already. */
@@ -209,7 +245,7 @@ long hystmpc_axes_room_bytes(const void *axes) {
     long inner = longer(hystmpc_room_bytes(a->first), hystmpc_room_bytes(a->second));
     for (int i = 0; i < HYSTMPC_AXES; i++)
         if (axes_problem(a, i)->model) inner = longer(inner, hystmpc_model_bytes(axes_problem(a, i)->model, 1, (int)h));
-    return 2L * ROOM_LINE + room_for(2 * samples) + room_for(a->commands * h) + 2 * room_for(2 * h) +
+    return 2L * ROOM_LINE + 3 * room_for(2 * samples) + room_for(a->commands * h) + 2 * room_for(2 * h) +
            (a->law ? axes_joint_room(a) : 0L) + inner;
 }
 
@@ -266,25 +302,25 @@ static int axes_weigh(axes_call *c, const real *reference, real *plans, char *ro
 }
 
 /* Proposals of both axes; 0 where nothing has been started. A stop of one is a stop of both. */
-static int axes_propose(axes_call *c, const real *angles_deg, const real *reference, char *room) {
+static int axes_propose(axes_call *c, const real *angles_deg, const real *wanted, char *room) {
     real y[HYSTMPC_AXES];
     int begun = 1;
-    axes_map(c->a->unframe, HYSTMPC_AXES, HYSTMPC_AXES, angles_deg, 1, y, 1);
+    axes_measured(c, angles_deg, c->a->first->sensing->delay, y);
     if (c->axis[0].m.head->stopped || c->axis[1].m.head->stopped)
         for (int i = 0; i < HYSTMPC_AXES; i++) hystmpc_controller_stop(c->axis[i].p, c->axis[i].memory);
     for (int i = 0; i < HYSTMPC_AXES; i++) {
         axes_one *const one = c->axis + i;
-        const real *const wanted = reference ? reference + i * hystmpc_reference_samples(one->p) : NULL;
-        begun &= hystmpc_controller_begin(one->p, &one->m, y[i], wanted, &one->out, room);
+        const int samples = hystmpc_reference_samples(one->p);
+        begun &= hystmpc_controller_begin(one->p, &one->m, y[i], wanted + i * samples, &one->out, room);
     }
     return begun;
 }
 
 /* Angles theta of what the axes foretell, in the plan's last two rows; not-a-number where an axis foretells nothing. */
-static void axes_foretell(const axes_call *c, real *angles) {
+static void axes_foretell(const axes_call *c, const real *shared, int samples, real *angles) {
     const int h = c->horizon;
     for (int k = 0; k < h; k++) {
-        const real y[HYSTMPC_AXES] = {c->axis[0].out.angles[k], c->axis[1].out.angles[k]};
+        const real y[HYSTMPC_AXES] = {c->axis[0].out.angles[k] + shared[k], c->axis[1].out.angles[k] + shared[samples + k]};
         axes_map(c->a->frame, HYSTMPC_AXES, HYSTMPC_AXES, y, 1, angles + k, h);
     }
 }
@@ -299,23 +335,26 @@ int hystmpc_axes_step(const void *axes, char *memory, const real *angles_deg, co
     const int h = c.horizon, n = a->commands;
     room = room_begin(room);
     real *const in_y = room_take(&room, 2L * samples), *const plans = room_take(&room, (long)n * h);
+    real *const shared = room_take(&room, 2L * samples), *const ahead = room_take(&room, 2L * samples);
     for (int i = 0; i < HYSTMPC_AXES; i++) {
         c.axis[i].out.commands = room_take(&room, 2L * h);
         c.axis[i].out.angles = c.axis[i].out.commands + h;
         fill(c.axis[i].out.angles, (real)NAN, h);
     }
     memset(answer, 0, HYSTMPC_AXES * sizeof *answer);
-    for (int k = 0; reference && k < samples; k++)
-        axes_map(a->unframe, HYSTMPC_AXES, HYSTMPC_AXES, reference + k, samples, in_y + k, samples);
-    if (!axes_propose(&c, angles_deg, reference ? in_y : NULL, room)) {
+    for (int k = 0; k < samples; k++) {
+        if (reference) axes_map(a->unframe, HYSTMPC_AXES, HYSTMPC_AXES, reference + k, samples, in_y + k, samples);
+        for (int i = 0; i < HYSTMPC_AXES && !reference; i++) in_y[i * samples + k] = c.axis[i].m.head->target;
+    }
+    axes_foresee(&c, samples, ahead, shared);
+    for (int k = 0; k < 2 * samples; k++) in_y[k] -= shared[k];
+    if (!axes_propose(&c, angles_deg, in_y, room)) {
         for (int j = 0; j < n; j++) u[j] = clamp(is_finite(c.last[j]) ? c.last[j] : a->rest[j], a->lower[j], a->upper[j]);
         for (int i = 0; i < HYSTMPC_AXES; i++)
             answer[i] = (hystmpc_command){.predicted_deg = (real)NAN, .source = HYSTMPC_STOP, .status = HYSTMPC_LATCHED};
         if (plan) fill(plan, (real)NAN, (n + HYSTMPC_AXES) * h);
         return HYSTMPC_AXES;
     }
-    if (!reference)
-        for (int i = 0; i < HYSTMPC_AXES; i++) fill(in_y + i * samples, c.axis[i].m.head->target, samples);
     const int planned = axes_plan(&c);
     if (planned && axes_admit(&c, plans) > axes_grain && axes_weigh(&c, in_y, plans, room))
         for (int i = 0; i < HYSTMPC_AXES; i++) c.axis[i].out.status = HYSTMPC_FAILED;
@@ -330,13 +369,14 @@ int hystmpc_axes_step(const void *axes, char *memory, const real *angles_deg, co
     real w[HYSTMPC_AXES];
     int unusual = 0;
     axes_travels(a, u, 1, w, 1);
+    axes_rub(&c, w);
     for (int i = 0; i < HYSTMPC_AXES; i++) {
         axes_one *const one = c.axis + i;
         one->out.u = w[i];
         unusual += hystmpc_controller_finish(one->p, &one->m, &one->out, plan != NULL, answer + i, room);
     }
     if (plan && planned) copy(plans, plan, n * h);
-    if (plan) axes_foretell(&c, plan + n * h);
+    if (plan) axes_foretell(&c, shared, samples, plan + n * h);
     return unusual;
 }
 
@@ -353,7 +393,8 @@ int hystmpc_axes_measure(const void *axes, char *memory, const real *angles_deg,
     real y[HYSTMPC_AXES];
     int used = 1;
     axes_open(axes, memory, &c);
-    axes_map(c.a->unframe, HYSTMPC_AXES, HYSTMPC_AXES, angles_deg, 1, y, 1);
+    axes_measured(&c, angles_deg, 
+                  c.a->first->sensing->delay + (is_finite(age) && age < (real)HYSTMPC_PAST ? (int)(age + R(0.5)) : 0), y);
     for (int i = 0; i < HYSTMPC_AXES; i++) used &= hystmpc_controller_measure(c.axis[i].p, c.axis[i].memory, y[i], age);
     return used;
 }
@@ -363,10 +404,11 @@ int hystmpc_axes_look_on(const void *axes, char *memory, const real *angles_deg,
     real y[HYSTMPC_AXES], w[HYSTMPC_AXES];
     int failed = 0;
     axes_open(axes, memory, &c);
-    axes_map(c.a->unframe, HYSTMPC_AXES, HYSTMPC_AXES, angles_deg, 1, y, 1);
+    axes_measured(&c, angles_deg, c.a->first->sensing->delay, y);
     for (int j = 0; j < c.a->commands; j++)
         if (is_finite(commands[j])) c.last[j] = clamp(commands[j], c.a->lower[j], c.a->upper[j]);
     axes_travels(c.a, c.last, 1, w, 1);
+    axes_rub(&c, w);
     for (int i = 0; i < HYSTMPC_AXES; i++)
         failed += hystmpc_controller_look_on(c.axis[i].p, c.axis[i].memory, y[i], w[i], room);
     return failed;

@@ -10,15 +10,20 @@
  * u = u_0 + N (w - M u_0) with M N = 1. Where all are admissible they are optimal. Where not, one quadratic program in the
  * commands of all, with the Jacobian A dy/dw M, decides between the axes.
  *
- * A memory is u as sent last (n), then the memories of both axes. */
+ * A friction that both axes share is known in advance along the plans of the last step: theta = A (y + c). Its c is taken
+ * from the measurements and from what is wanted of each axis.
+ *
+ * A memory is u as sent last (n), the shared friction's state and its last values, then the memories of both axes. */
 #ifndef HYSTMPC_AXES_H
 #define HYSTMPC_AXES_H
 
 #include "controller.h"
+#include "cross_friction.h"
 
 enum {
     HYSTMPC_AXES = 2,
-    HYSTMPC_PULLS = 6 /* commands, at most */
+    HYSTMPC_PULLS = 6, /* commands, at most */
+    HYSTMPC_PAST = 64  /* samples of the shared friction that are remembered, for late measurements */
 };
 
 typedef struct {
@@ -31,6 +36,7 @@ typedef struct {
     const real *frame;    /* A (2, 2) */
     const real *unframe;  /* its inverse */
     const real *lower, *upper, *reach; /* of every command; its greatest change in a sample (n) */
+    const hystmpc_cross_friction *cross; /* null: none */
     const hystmpc_law *law; /* of both angles theta and all commands; null: no plans are made */
 } hystmpc_axes;
 
@@ -38,10 +44,8 @@ typedef struct {
 HYSTMPC_API long hystmpc_axes_bytes(const void *axes);
 HYSTMPC_API long hystmpc_axes_room_bytes(const void *axes);
 
-/* As `hystmpc_controller_init`, with the states of both models one after the other, angles (2) and commands (n). Where an
- * axis refuses, both stand still. */
-HYSTMPC_API int hystmpc_axes_init(const void *axes, char *memory, const real *x, const real *angles_deg,
-                                  const real *commands, char *room);
+/* What both axes share, at rest under commands (n): call it when each has its start in the memory. */
+HYSTMPC_API void hystmpc_axes_begin(const void *axes, char *memory, const real *commands);
 
 /* One step. angles_deg (2), not-a-number where one is missing; reference (2, S) or null; u (n): the commands to send;
  * answers: two structs `hystmpc_command`, of which u is the axis's travel w and angles are y. plan (n + 2, H): commands, and

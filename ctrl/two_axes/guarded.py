@@ -164,9 +164,9 @@ class TwoAxisController(HoldsAddresses):
         y, w = self.model.in_axes(angles), self.model.travels(held)
         begun = [axis.init(float(y[i]), _within(axis, float(w[i]))) for i, axis in enumerate(self._axes)]
         memory = np.zeros(self._bytes, dtype=np.uint8)
-        memory[: held.nbytes] = held.view(np.uint8)
         for part, state in zip(self._parts, begun, strict=True):
             memory[part] = state.memory
+        self._engine.axes_begin(self._address, memory, np.ascontiguousarray(held))
         return self._state(memory)
 
     def step(
@@ -319,5 +319,6 @@ def _problem(
         lower=np.array([each.lower for each in limits]),
         upper=np.array([each.upper for each in limits]),
         reach=np.array([each.rate for each in limits]) * model.dt_s,
+        cross=None if model.cross_friction is None else model.cross_friction.struct(model.dt_s),
         law=law,
     )

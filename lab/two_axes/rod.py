@@ -1,7 +1,7 @@
 """Rod in a sheath that bends in two planes, pulled by two pairs of tendons.
 
-    x' = (u - x) / tau                                    drives of both pairs
-    f' = x' (1 - f sign(x') / width)                      friction of each pair, Dahl's: the tendon gives way by f
+    x' = (u(t - delay) - x) / tau                         drives of both pairs
+    f' = x' (sign(x') width - f) sign(x') / (2.5 width)   friction of each pair, Dahl's: the tendon gives way by f
     p  = R(phi) (x - f)                                   tendons that are not aligned with the planes
     z <- p - b;  |z| <= r (1 + k |p|)                     friction in the sheath, one for both planes: a vector
     b  = p - z,   b -= late (b - c),  c' = (b - c) / 8 s  bend of the rod, a share of it late
@@ -17,6 +17,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hystmpc.trajectories.excitation import identification_motions
+from hystmpc.trajectories.trajectory import Sampled, Trajectory
 from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Vec
 
@@ -28,6 +30,7 @@ RATE_MM_S = 8.0
 
 _SUBSTEPS = 4
 _CREEP_S = 8.0
+_SOFT = 2.5  # above two, or the rod would go back at a reversal
 
 
 @dataclass(frozen=True)
@@ -48,10 +51,14 @@ class RodNumbers:
     coupling_y: float
     noise_deg: float
     rate_hz: float
+    delay_samples: int
 
 
 def drawn(random: np.random.Generator) -> RodNumbers:
-    """A rod of the study: misalignment 0 to 20 deg, coupling 0 to .3, drives 0 to .2 s, 25 or 50 Hz."""
+    """A rod of the study: misalignment 0 to 20 deg, coupling 0 to .3, drives 0 to .2 s, 25 or 50 Hz.
+
+    Delays and noise are those of the drawn devices of one axis (`hystmpc_lab.devices.drawn`).
+    """
     return RodNumbers(
         gain=float(random.uniform(9.0, 16.0)),
         tau_s=float(random.uniform(0.0, 0.2)),
@@ -65,8 +72,9 @@ def drawn(random: np.random.Generator) -> RodNumbers:
         gravity=float(random.uniform(0.0, 0.15)),
         coupling_x=float(random.uniform(-0.3, 0.3)),
         coupling_y=float(random.uniform(-0.3, 0.3)),
-        noise_deg=float(random.uniform(0.05, 0.15)),
+        noise_deg=float(np.exp(random.uniform(*np.log([0.03, 0.3])))),
         rate_hz=float(random.choice([25.0, 50.0])),
+        delay_samples=int(random.integers(0, 4)),
     )
 
 
@@ -80,7 +88,8 @@ class Rod:
 
     def __init__(self, numbers: RodNumbers, seed: int = 0) -> None:
         self.numbers, self._random = numbers, np.random.default_rng(seed)
-        self._x, self._f, self._z, self._c = (np.zeros(2) for _ in range(4))
+        self._x, self._f, self._z, self._c, self._pulled = (np.zeros(2) for _ in range(5))
+        self._late = [np.zeros(2)] * numbers.delay_samples
         x, y = np.deg2rad([numbers.turn_x, numbers.turn_y])
         self._pull = np.array([[np.cos(x), -np.sin(y)], [np.sin(x), np.cos(y)]])
         self._frame = numbers.gain * np.array([[1.0, numbers.coupling_x], [numbers.coupling_y, 1.0]])
@@ -100,12 +109,13 @@ class Rod:
     def advance(self, commands: Vec) -> Vec:
         """True angles (2,) [deg] after one sample."""
         n, dt = self.numbers, self.dt / _SUBSTEPS
-        u = np.clip(commands, -REACH_MM, REACH_MM)
+        self._late.append(np.clip(commands, -REACH_MM, REACH_MM))
+        u = self._late.pop(0)
         share = 1.0 if n.tau_s == 0 else 1 - float(np.exp(-dt / n.tau_s))
         for _ in range(_SUBSTEPS):
             move = share * (u - self._x)
             self._x = self._x + move
-            along = np.exp(-np.abs(move) / n.width)
+            along = np.exp(-np.abs(move) / (_SOFT * n.width))
             self._f = np.sign(move) * n.width * (1 - along) + self._f * along
             before = self._pulled
             self._pulled = self._pull @ (self._x - self._f)
@@ -116,50 +126,43 @@ class Rod:
         self.angles = self._answer()
         return self.angles
 
-    _pulled: Vec = np.zeros(2)
-
     def measured(self) -> Vec:
         """Angles (2,) [deg] with noise."""
         return np.asarray(self.angles + self.numbers.noise_deg * self._random.standard_normal(2))
 
 
-def trials_of(numbers: RodNumbers, seed: int, count: int = 5, seconds: float = 40.0) -> list[Trial]:
-    """Recorded trials: random moves and rests of both commands, at times of one alone."""
+def trials_of(numbers: RodNumbers, seed: int) -> list[Trial]:
+    """Recorded trials of six minutes in all: the motions of an identification of one axis, on both at different times.
+
+    Commands hold for a sample, and the angle is that at its end. The first two trials move one axis alone.
+    """
+    random = np.random.default_rng(seed)
+    x, y = (list(identification_motions(2 * REACH_MM, 0.5 * RATE_MM_S, random)) for _ in range(2))
+    still: Trajectory = Sampled(np.array([0.0, 1.0]), np.full(2, REACH_MM))
+    pairs = [(x[0][1], still), (still, y[0][1])]
+    pairs += [(one, y[(k + 1) % len(y)][1]) for k, (_, one) in enumerate(x)]
     made = []
-    for number in range(count):
-        random, rod = np.random.default_rng((seed, number)), Rod(numbers, seed + 97 * number)
-        samples = round(seconds / rod.dt)
-        commands = np.stack([_wandering(random, samples, rod.dt) for _ in range(2)], axis=1)
-        if number % 3 == 1:
-            commands[: samples // 2, 1] = 0.0
-        if number % 3 == 2:
-            commands[: samples // 2, 0] = 0.0
-        commands = _limited(commands, rod.dt)
-        angles = [rod.measured()]
-        for u in commands[:-1]:
+    for number, motions in enumerate(pairs):
+        rod = Rod(numbers, seed + 97 * number)
+        seconds = max(motion.duration_s for motion in motions) + 1.0
+        t = rod.dt * np.arange(round(seconds / rod.dt))
+        asked = np.stack([motion(t) - REACH_MM for motion in motions], axis=1)
+        commands = _limited(asked, rod.dt)
+        angles = []
+        for u in commands:
             rod.advance(u)
             angles.append(rod.measured())
-        t = rod.dt * np.arange(samples)
         made.append(Trial(t, commands, np.array(angles), units=Units("mm", "deg"), source=f"trial_{number}"))
     return made
 
 
-def _limited(commands: Vec, dt: float) -> Vec:
-    made, reach = np.zeros_like(commands), 0.5 * RATE_MM_S * dt
-    for k in range(1, len(commands)):
-        made[k] = made[k - 1] + np.clip(commands[k] - made[k - 1], -reach, reach)
+def _limited(asked: Vec, dt: float) -> Vec:
+    """Commands that begin at rest and stay within half of the greatest rate."""
+    made, reach, at = np.empty_like(asked), 0.5 * RATE_MM_S * dt, np.zeros(2)
+    for k, wanted in enumerate(asked):
+        at = at + np.clip(wanted - at, -reach, reach)
+        made[k] = at
     return made
-
-
-def _wandering(random: np.random.Generator, samples: int, dt: float) -> Vec:
-    """Ramps between random commands at random speeds, with rests."""
-    values, at = [np.zeros(round(1.0 / dt))], 0.0
-    while sum(map(len, values)) < samples:
-        to, speed = float(random.uniform(-REACH_MM, REACH_MM)), float(random.uniform(0.5, 4.0))
-        way = max(round(abs(to - at) / speed / dt), 1)
-        values += [np.linspace(at, to, way, endpoint=False), np.full(round(random.uniform(0.0, 1.5) / dt), to)]
-        at = to
-    return np.concatenate(values)[:samples]
 
 
 def changed(numbers: RodNumbers, **values: float) -> RodNumbers:

@@ -16,11 +16,13 @@ from ..contract.metadata import DeviceLimits, Range
 from ..kinds.kind import FitRequest, Identified, ModelKind, identified
 from ..model import FitProgress
 from ..simulator import ChainModel, Simulator
-from .joints import Chosen, Joint, choose_joint, matrices
-from .model import AXES, TwoAxisModel
+from .cross import shared_friction
+from .joints import FREE, Chosen, Joint, choose_joint, matrices
+from .model import AXES, CrossFriction, TwoAxisModel
 
 _CHANGED = 0.005  # change of a joint's number after which the axes are identified once more
 _ROUNDS = 2
+_MOVES = 0.1  # of the greatest range of its travel: an axis that moves less in a trial is not identified from it
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +50,8 @@ class TwoAxisFit:
         """What joins the axes, with errors, in one line."""
         tried = ", ".join(f"{name} {error:.3g}" for name, error in self.errors.items())
         x, y = self.rmse_deg
-        return f"two axes joined by {self.joint} (parts left out: {tried} deg); free runs {x:.3g} and {y:.3g} deg"
+        shared = " and a friction that both share" if self.model.cross_friction is not None else ""
+        return f"two axes joined by {self.joint}{shared} (parts left out: {tried} deg); free runs {x:.3g}, {y:.3g} deg"
 
 
 def fit_two_axes(
@@ -62,7 +65,7 @@ def fit_two_axes(
     """Identify a device with two commands and two angles.
 
     First the joint of the axes, then a model of each axis by `kind`, then the joint's numbers once more with these
-    models; where they change, the axes once more.
+    models, and the friction that both axes share; where these change anything, the axes once more.
 
     Args:
         kind: readable kind of model of each axis, such as `auto`.
@@ -78,42 +81,81 @@ def fit_two_axes(
     if not kind.readable:
         raise FitError(f"{kind.name}: has no readable form, expected auto or an operator for two axes")
     chosen = joint or choose_joint(trials)
-    known, each = chosen.joint, kind.steps(request) or 0
-    fits: tuple[Identified, Identified] | None = None
+    begun = _Begun(chosen.joint, None)
+    each, fits = kind.steps(request) or 0, None
     for number in range(_ROUNDS):
-        steps = number * AXES * each
-        fits = _axes(kind, trials, known, request, steps, each, progress)
-        simulators = fits[0].simulator, fits[1].simulator
-        assert simulators[0] is not None
-        assert simulators[1] is not None
-        better = _refined((simulators[0], simulators[1]), trials, known)
-        moved = max(float(np.abs(better.mix - known.mix).max()), float(np.abs(better.frame - known.frame).max()))
-        known = better
-        if moved < _CHANGED or any(fit.interrupted for fit in fits):
+        fits = _axes(kind, trials, begun, request, number * AXES * each, each, progress)
+        better = _refined(_simulators(fits), trials, begun)
+        if any(fit.interrupted for fit in fits):
+            break
+        if joint is None:
+            better = replace(better, cross=_shared(_simulators(fits), trials, better))
+        moved = max(
+            float(np.abs(better.joint.mix - begun.joint.mix).max()), _apart(better.joint.frame, begun.joint.frame)
+        )
+        changed = moved > _CHANGED or (better.cross is not None and begun.cross is None)
+        begun = better
+        if not changed:
             break
     assert fits is not None
-    return _assembled(fits, trials, replace(chosen, joint=known), limits)
+    return _assembled(fits, trials, chosen.errors, begun, limits)
 
 
-def axis_trials(trials: Sequence[Trial], joint: Joint, axis: int) -> list[Trial]:
-    """Trials of one axis: its travel w, and its angle y."""
-    back = np.linalg.inv(joint.frame)
+@dataclass(frozen=True, eq=False)
+class _Begun:
+    """What is known of the device so far, but for its axes."""
+
+    joint: Joint
+    cross: CrossFriction | None
+
+    def shared(self, travels: Vec, dt_s: float) -> Vec:
+        """Friction that both axes share (T, 2) [deg]."""
+        return np.zeros((len(travels), AXES)) if self.cross is None else self.cross.run(travels, dt_s)
+
+
+def _apart(one: Vec, other: Vec) -> float:
+    return float(np.abs(one - other).max())
+
+
+def _simulators(fits: tuple[Identified, Identified]) -> tuple[Simulator, Simulator]:
+    x, y = (fit.simulator for fit in fits)
+    assert x is not None
+    assert y is not None
+    return x, y
+
+
+def _shared(axes: tuple[Simulator, Simulator], trials: Sequence[Trial], begun: _Begun) -> CrossFriction | None:
+    """The friction that both axes share, by what their models leave of the trials."""
+    travels = [trial.commands @ begun.joint.mix.T for trial in trials]
+    left = []
+    for trial, w in zip(trials, travels, strict=True):
+        y = trial.angles @ np.linalg.inv(begun.joint.frame).T
+        runs = [ChainModel(axis).run(np.ascontiguousarray(w[:, i]), float(y[0, i])) for i, axis in enumerate(axes)]
+        left.append(y - np.stack(runs, axis=1))
+    return shared_friction(travels, left, trials[0].dt)
+
+
+def _axis_trials(trials: Sequence[Trial], begun: _Begun, axis: int) -> list[Trial]:
+    """Trials in which an axis moves: its travel w, and its angle y without the friction that both axes share."""
+    back, mix = np.linalg.inv(begun.joint.frame), begun.joint.mix
+    spans = [float(np.ptp(trial.commands @ mix[axis])) for trial in trials]
+    moving = [trial for trial, span in zip(trials, spans, strict=True) if span > _MOVES * max(spans)]
     return [
         replace(
             trial,
-            command=np.ascontiguousarray(trial.commands @ joint.mix[axis]),
-            angle=np.ascontiguousarray(trial.angles @ back[axis]),
+            command=np.ascontiguousarray(trial.commands @ mix[axis]),
+            angle=trial.angles @ back[axis] - begun.shared(trial.commands @ mix.T, trial.dt)[:, axis],
             source=f"{trial.source} ({'xy'[axis]})",
             channels={},
         )
-        for trial in trials
+        for trial in moving
     ]
 
 
 def _axes(
     kind: ModelKind,
     trials: Sequence[Trial],
-    joint: Joint,
+    begun: _Begun,
     request: FitRequest,
     done: int,
     each: int,
@@ -126,15 +168,15 @@ def _axes(
             if progress is not None:
                 progress(before + step, rmse)
 
-        made.append(identified(kind, axis_trials(trials, joint, axis), request, tell))
+        made.append(identified(kind, _axis_trials(trials, begun, axis), request, tell))
     return made[0], made[1]
 
 
-def _refined(axes: tuple[Simulator, Simulator], trials: Sequence[Trial], joint: Joint) -> Joint:
+def _refined(axes: tuple[Simulator, Simulator], trials: Sequence[Trial], begun: _Begun) -> _Begun:
     """The joint's numbers of least error with these models of the axes."""
-    models, free = [ChainModel(axis) for axis in axes], _free(joint.name)
+    models, joint, free = [ChainModel(axis) for axis in axes], begun.joint, list(FREE[begun.joint.name])
     if not free:
-        return joint
+        return begun
     straight = joint.mix @ np.linalg.inv(joint.order)
     start = np.array([straight[0, 1], straight[1, 0], joint.frame[0, 1], joint.frame[1, 0]])
 
@@ -146,26 +188,23 @@ def _refined(axes: tuple[Simulator, Simulator], trials: Sequence[Trial], joint: 
         for trial in trials:
             w, y = trial.commands @ (mix @ joint.order).T, np.linalg.solve(frame, trial.angles.T)
             runs = [model.run(np.ascontiguousarray(w[:, i]), float(y[i, 0])) for i, model in enumerate(models)]
-            left.append((frame @ (np.stack(runs) - y)).ravel())
+            left.append((frame @ (np.stack(runs) + begun.shared(w, trial.dt).T - y)).ravel())
         return np.concatenate(left)
 
-    found = least_squares(error, start[free], diff_step=1e-3, max_nfev=10)
+    answer = least_squares(error, start[free], diff_step=1e-3, max_nfev=10)
     q = start.copy()
-    q[free] = found.x
+    q[free] = answer.x
     mix, frame = matrices(q)
-    return replace(joint, mix=mix @ joint.order, frame=frame)
-
-
-def _free(name: str) -> list[int]:
-    return {"none": [], "tendons": [0, 1], "frame": [2, 3], "both": [0, 1, 2, 3]}[name]
+    return replace(begun, joint=replace(joint, mix=mix @ joint.order, frame=frame))
 
 
 def _assembled(
-    fits: tuple[Identified, Identified], trials: Sequence[Trial], chosen: Chosen, limits: Sequence[DeviceLimits]
+    fits: tuple[Identified, Identified],
+    trials: Sequence[Trial],
+    tried: dict[str, float],
+    begun: _Begun,
+    limits: Sequence[DeviceLimits],
 ) -> TwoAxisFit:
-    simulators = fits[0].simulator, fits[1].simulator
-    assert simulators[0] is not None
-    assert simulators[1] is not None
     u = np.vstack([trial.commands for trial in trials])
     rates = np.max([np.abs(np.diff(trial.commands, axis=0)).max(0) / trial.dt for trial in trials], axis=0)
     given = [*limits, *[DeviceLimits()] * AXES][:AXES]
@@ -174,14 +213,15 @@ def _assembled(
     )
     rests = np.median([trial.commands[0] for trial in trials], axis=0)
     model = TwoAxisModel(
-        (simulators[0], simulators[1]),
-        tuple(tuple(row) for row in chosen.joint.mix.tolist()),
-        tuple(tuple(row) for row in chosen.joint.frame.tolist()),
+        _simulators(fits),
+        tuple(tuple(row) for row in begun.joint.mix.tolist()),
+        tuple(tuple(row) for row in begun.joint.frame.tolist()),
         ranges,
         tuple(float(one.rate_per_s or rates[k]) for k, one in enumerate(given)),
         tuple(float(np.clip(rest, each.lower, each.upper)) for rest, each in zip(rests, ranges, strict=True)),
-        chosen.errors,
+        tried,
+        begun.cross,
     )
     errors = [model.run(trial.commands, trial.angles[0]) - trial.angles for trial in trials]
     rmse = np.sqrt(np.mean(np.vstack(errors) ** 2, axis=0))
-    return TwoAxisFit(model, fits, chosen.joint.name, chosen.errors, rmse, any(fit.interrupted for fit in fits))
+    return TwoAxisFit(model, fits, begun.joint.name, tried, rmse, any(fit.interrupted for fit in fits))

@@ -69,7 +69,7 @@ class Chosen:
         return cls(Joint("none", np.eye(AXES), np.eye(AXES), np.eye(AXES)), {})
 
 
-_FREE = {"none": (), "tendons": (0, 1), "frame": (2, 3), "both": (0, 1, 2, 3)}
+FREE = {"none": (), "tendons": (0, 1), "frame": (2, 3), "both": (0, 1, 2, 3)}
 """Numbers (m_x, m_y, a_x, a_y) that each joint has."""
 
 
@@ -89,8 +89,8 @@ def choose_joint(trials: Sequence[Trial]) -> Chosen:
     order = _order(trials)
     data = _Data.of(trials, order)
     parts, all_ = np.array_split(np.arange(data.samples), _PARTS), np.ones(data.samples, dtype=bool)
-    squares, numbers = {name: np.empty(_PARTS) for name in _FREE}, {}
-    for name, free in _FREE.items():
+    squares, numbers = {name: np.empty(_PARTS) for name in FREE}, {}
+    for name, free in FREE.items():
         numbers[name] = data.fitted(free, all_, np.zeros(4))
         for k, part in enumerate(parts):
             seen = all_.copy()
@@ -100,8 +100,8 @@ def choose_joint(trials: Sequence[Trial]) -> Chosen:
     means = {name: float(values.mean()) for name, values in squares.items()}
     best = min(means, key=lambda name: means[name])
     apart = {name: values - squares[best] for name, values in squares.items()}
-    level = [name for name in _FREE if means[name] - means[best] <= apart[name].std() / np.sqrt(_PARTS)]
-    kept = min(level, key=lambda name: (len(_FREE[name]), means[name]))
+    level = [name for name in FREE if means[name] - means[best] <= apart[name].std() / np.sqrt(_PARTS)]
+    kept = min(level, key=lambda name: (len(FREE[name]), means[name]))
     mix, frame = matrices(numbers[kept])
     return Chosen(
         Joint(kept, order, mix @ order, frame), {name: float(np.sqrt(value)) for name, value in means.items()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,8 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
+from hystmpc.core.library import engine
+from hystmpc.core.structs import Struct, struct
 from hystmpc.trials.brief import in_brief
-from hystmpc.trials.config import Settings, dump_yaml, read_yaml
+from hystmpc.trials.config import NotNegative, Positive, Settings, dump_yaml, read_yaml
 from hystmpc.trials.errors import ConfigError, ModelError, shown
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.types import Vec
@@ -32,6 +35,40 @@ _ROUNDING = 1e-9
 Row = tuple[float, ...]
 
 
+class CrossFriction(Settings):
+    """Friction that both axes share: what a friction whose force is a vector adds to that of each axis alone.
+
+        v' = (w - v) / lag_s,    c_i = sum_j weights_ij (b_ji - p_ji)
+
+    b_j (2,) is a play in the plane of v, |v - b_j| <= radii_j; p_ji is the play of v_i alone. c is zero in motions of
+    one axis. A rod that slides along a sheath in one plane is free in the other one.
+
+    Attributes:
+        lag_s: time constant of the drives in front [s].
+        radii: of the plays (J,), in the unit of w, at most eight.
+        weights: k (2, J) [deg per unit of w].
+    """
+
+    lag_s: NotNegative
+    radii: tuple[Positive, ...] = Field(max_length=8)
+    weights: tuple[Row, Row]
+
+    def struct(self, dt_s: float) -> Struct:
+        """Struct `hystmpc_cross_friction` at a sample time [s]."""
+        keep = math.exp(-dt_s / self.lag_s) if self.lag_s > 0 else 0.0
+        weights = np.array(self.weights, dtype=np.float64)
+        return struct("hystmpc_cross_friction", plays=len(self.radii), keep=keep, radii=self.radii, weights=weights)
+
+    def run(self, travels: Vec, dt_s: float) -> Vec:
+        """c (T, 2) [deg] along travels (T, 2) from a rest at the first."""
+        core, part = engine(), self.struct(dt_s)
+        w, c = np.ascontiguousarray(travels.T), np.empty((AXES, len(travels)))
+        state = np.empty(int(core.cross_states(part.address)))
+        core.cross_rest(part.address, np.ascontiguousarray(w[:, 0]), state)
+        core.cross_run(part.address, len(travels), w, state, c)
+        return np.ascontiguousarray(c.T)
+
+
 class TwoAxisFile(Settings):
     """Layout of the YAML file.
 
@@ -42,6 +79,7 @@ class TwoAxisFile(Settings):
         command_limits, command_rates_per_s: of each of n commands.
         rest_commands: at which the device rests, n: pretension of tendons.
         axes: two simulators, as in files of one axis; commands there are travels w.
+        cross_friction: friction that both axes share; null for none.
         comparison: errors on parts left out of the identification, by what joins the axes.
     """
 
@@ -52,6 +90,7 @@ class TwoAxisFile(Settings):
     command_rates_per_s: tuple[Rate, ...]
     rest_commands: Row
     axes: tuple[dict[str, Any], dict[str, Any]]
+    cross_friction: CrossFriction | None = None
     comparison: dict[str, float] = Field(default_factory=dict)
 
 
@@ -59,7 +98,7 @@ class TwoAxisFile(Settings):
 class TwoAxisModel:
     """Two bending axes of one device with n commands u and two angles theta.
 
-        w = M u,    y_i = f_i(w_i),    theta = A y
+        w = M u,    y_i = f_i(w_i) + c_i(w),    theta = A y
 
     w (2,) are the travels that pull by the axes (Clarke coordinates of tendons), f_i is a simulator of one axis: its
     drive, hysteresis and creep. M off its diagonal stands for tendons that are not aligned with the axes, A for a
@@ -72,6 +111,7 @@ class TwoAxisModel:
         mix, frame: M (2, n), A (2, 2), rows of numbers.
         command_limits, command_rates_per_s, rest_commands: of every command, n each.
         comparison: errors [deg] on parts left out, by what joins the axes; empty without an identification.
+        cross_friction: c, see `CrossFriction`; None for none.
 
     Raises:
         ModelError: if sizes differ, a matrix cannot be inverted, a rest is beyond its limits, or the axes have
@@ -85,6 +125,7 @@ class TwoAxisModel:
     command_rates_per_s: Row
     rest_commands: Row
     comparison: Mapping[str, float]
+    cross_friction: CrossFriction | None = None
 
     def __post_init__(self) -> None:
         n = len(self.command_limits)
@@ -171,7 +212,8 @@ class TwoAxisModel:
             )
         w, begin = self.travels(u), self.in_axes(start)
         y = [ChainModel(f).run(np.ascontiguousarray(w[:, i]), float(begin[i])) for i, f in enumerate(self.axes)]
-        return np.asarray(np.stack(y, axis=1) @ self.turn.T)
+        shared = 0.0 if self.cross_friction is None else self.cross_friction.run(w, self.dt_s)
+        return np.asarray((np.stack(y, axis=1) + shared) @ self.turn.T)
 
     def with_tendons(
         self,
@@ -218,9 +260,10 @@ class TwoAxisModel:
             command_rates_per_s=self.command_rates_per_s,
             rest_commands=self.rest_commands,
             axes=(simulator_spec(self.axes[0]), simulator_spec(self.axes[1])),
+            cross_friction=self.cross_friction,
             comparison=dict(self.comparison),
         )
-        return write_atomically(path, dump_yaml(file.model_dump(mode="json")))
+        return write_atomically(path, dump_yaml(file.model_dump(mode="json", exclude_none=True)))
 
 
 def has_two_axes(path: Path | str) -> bool:
@@ -252,7 +295,7 @@ def load_two_axes(path: Path | str) -> TwoAxisModel:
     try:
         return TwoAxisModel(
             (x, y), file.mix, file.frame, file.command_limits, file.command_rates_per_s, file.rest_commands,
-            file.comparison,
+            file.comparison, file.cross_friction,
         )  # fmt: skip
     except ModelError as error:
         raise ModelError(f"{path}: {error}") from None
