@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from hystmpc.tasks.check import LogsCheck
     from hystmpc.tasks.evaluate import Evaluation
     from hystmpc.tasks.fit import Fit
+    from hystmpc.tasks.fit_both import FitOfBothAxes
     from hystmpc.trials.findings import CheckReport
 
 _COLOURS = {"ok": "green", "note": "cyan", "warning": "yellow", "error": "red"}
@@ -115,12 +116,16 @@ def fit(
     """Ctrl-C ends the search; the best model so far is written."""
     from hystmpc.models.contract.metadata import DeviceLimits, Range
     from hystmpc.models.evaluate import error_sentence
+    from hystmpc.tasks.fit_both import FitOfBothAxes
 
     ends = dict(zip(("lower", "upper"), command_limits or (), strict=False))
     limits = DeviceLimits(Range.parse(ends, "--command-limits") if ends else None, command_rate or None)
-    made: Fit = call.run(
+    made: Fit | FitOfBothAxes = call.run(
         f"fit {call.kind}", pace=_PACE.get(call.kind, EVEN), inverse=direction == "inverse", limits=limits
     )
+    if isinstance(made, FitOfBothAxes):
+        _print_both(made)
+        return
     _print_model(made, limits)
     for which, evaluation in made.evaluations:
         _print_errors(f"{call.out}: free run on the trials{which}", evaluation)
@@ -145,6 +150,16 @@ def _print_model(made: Fit, limits: DeviceLimits) -> None:
         error = max(gate.runtime_deg, gate.casadi_deg)
         exported = f"; exported within {error:.2g} {units.angle} of the reference over {gate.steps} steps"
     line(f"{done.report}{exported}")
+
+
+def _print_both(made: FitOfBothAxes) -> None:
+    fit, model = made.identified, made.model
+    rows = [[name, f"{error:.3g}", "kept" if name == fit.joint else ""] for name, error in fit.errors.items()]
+    out.print(table("What joins both axes", ("joint", "parts left out [deg]", ""), rows))
+    for name, axis in zip("xy", model.axes, strict=True):
+        line(f"axis {name}: {' + '.join(operator.name for operator in axis.chain.operators)}")
+    line(f"mix {model.matrix.round(4).tolist()}, frame {model.turn.round(4).tolist()}")
+    line(made.report)
 
 
 def limits_line(stored: ModelMetadata, given: DeviceLimits) -> str:

@@ -7,8 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
+from hystmpc.trials.axes import both_axes
 from hystmpc.trials.brief import about, in_brief
 from hystmpc.trials.errors import ConfigError, FitError, in_a_line
 from hystmpc.trials.files import figures_to
@@ -17,6 +18,7 @@ from hystmpc.trials.trial import SlowLogError, Trial, Units
 from hystmpc.trials.types import Progress
 
 from .evaluate import Evaluation, evaluate, free_runs
+from .fit_both import fit_both
 from .inputs import Logs, Say, as_list, files_read, opened, trials_at
 from .outputs import MODEL, SIMULATOR, check_output, check_page
 
@@ -29,7 +31,7 @@ if TYPE_CHECKING:
     from hystmpc.models.identify.auto import AutoFit
     from hystmpc.models.identify.uncertainty import ParameterRow
     from hystmpc.models.kinds.kind import FitRequest, Identified, ModelKind
-    from hystmpc.models.model import LoadedModel
+    from hystmpc.models.model import FitProgress, LoadedModel
     from hystmpc.models.simulator import Simulator
 
 DEFAULT_RATE_HZ = 25.0
@@ -138,6 +140,8 @@ def fit(
 ) -> Fit:
     """Identify a model from recorded trials; Ctrl-C keeps the best so far.
 
+    Logs of two axes (`command_x`, `command_y`, `angle_x_deg`, `angle_y_deg`) give a `FitOfBothAxes`.
+
     Args:
         kind: model: auto for the whole device, or backlash, pi, drdpi, bouc_wen, maxwell_slip, maxwell_slip_rate,
             oscillator, state_network, lstm, gru, play_kernel; with hystmpc-lab fnn, fnn_hib, hb1, hb2, svr.
@@ -194,6 +198,11 @@ def fit(
     )
     chosen.check([], request)
     recorded, held = read(logs, say), read(tests, say) if tests else []
+    if (both := both_axes(recorded)) is not None:
+        only_one = {"inverse": inverse, "drive": drive, "residual": residual, "report": report, "figures": figures}
+        return cast(
+            Fit, fit_both(chosen, both, both_axes(held), request, out, only_one, _telling(chosen, request, progress))
+        )
     _warn_of_limits([*recorded, *held], request.limits.command, say)
     used = tuple(trial.swapped() if inverse else trial for trial in recorded)
     done = _identify(chosen, used, request, progress, say)
@@ -203,6 +212,15 @@ def fit(
     sets = {which: part for which, part in ((SEEN, recorded), (UNSEEN, held)) if part}
     with figures_to(figures):
         return _scored(made, out, sets, skip_first_flexure, report, progress)
+
+
+def _telling(kind: ModelKind, request: FitRequest, progress: Progress | None) -> FitProgress | None:
+    """Progress of a fit of two axes, one after the other and perhaps once more."""
+    if progress is None:
+        return None
+    total = 4.0 * (kind.steps(request) or math.inf)
+    progress(0, total, "what joins both axes")
+    return lambda done, rmse: progress(done, total, f"best {rmse:.4g} deg")
 
 
 def _scored(

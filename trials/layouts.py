@@ -161,7 +161,15 @@ TENDON_CATHETER = Layout(
     angle_range=(-30.0, 200.0),
 )
 
-LAYOUTS: tuple[Layout, ...] = (CANONICAL, TENDON_CATHETER)
+TWO_AXES = Layout(
+    name="two-axes",
+    summary="two bending axes: time_s, command_x, command_y (or command_x_bar, ...), angle_x_deg, angle_y_deg",
+    time="time_s",
+    command={"command_x": COMMAND_UNITS[0]} | {f"command_x_{unit}": unit for unit in COMMAND_UNITS},
+    angle="angle_x_deg",
+)
+
+LAYOUTS: tuple[Layout, ...] = (CANONICAL, TWO_AXES, TENDON_CATHETER)
 
 
 def layout_named(name: str) -> Layout:

@@ -1,0 +1,53 @@
+"""Trials of two bending axes: the second command and the second angle are channels of a log of one axis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from .errors import LogError
+from .trial import Trial
+
+COMMAND_Y, ANGLE_Y = "command_y", "angle_y_deg"
+"""Channels of the second axis; the command's perhaps with the unit of the first one, as in `command_y_bar`."""
+
+
+def both_axes(trials: Sequence[Trial]) -> list[Trial] | None:
+    """Trials of two commands (T, 2) and two angles (T, 2), where all have the channels of a second axis; else None.
+
+    Raises:
+        LogError: if some have them and others not, a channel holds what is no number, or the angles are not in deg.
+    """
+    have = [_command_y(trial) != "" and ANGLE_Y in trial.channels for trial in trials]
+    if not trials or not any(have):
+        return None
+    if not all(have):
+        source = trials[have.index(False)].source
+        raise LogError(f"{source}: got one axis, expected {COMMAND_Y} and {ANGLE_Y} as in the other logs")
+    return [_joined(trial) for trial in trials]
+
+
+def _command_y(trial: Trial) -> str:
+    names = COMMAND_Y, f"{COMMAND_Y}_{trial.units.command}"
+    return next((name for name in names if name in trial.channels), "")
+
+
+def _joined(trial: Trial) -> Trial:
+    if trial.units.angle != "deg":
+        raise LogError(f"{trial.source}: got an output in {trial.units.angle}, expected two angles in deg")
+    names = _command_y(trial), ANGLE_Y
+    second = [np.asarray(trial.channels[name], dtype=np.float64) for name in names]
+    for name, values in zip(names, second, strict=True):
+        gaps = np.flatnonzero(~np.isfinite(values))
+        if gaps.size:
+            raise LogError(
+                f"{trial.source}: {name} has no number in {gaps.size} samples, the first {gaps[0]}, expected all"
+            )
+    return replace(
+        trial,
+        command=np.stack([trial.command, second[0]], axis=1),
+        angle=np.stack([trial.angle, second[1]], axis=1),
+        channels={name: values for name, values in trial.channels.items() if name not in names},
+    )
