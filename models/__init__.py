@@ -17,11 +17,13 @@ if TYPE_CHECKING:
     from .linear.systems import from_control
     from .model import Model
     from .operators.operator import Memoryless, Number, Operator, maximum, minimum
+    from .two_axes.model import CrossFriction, TwoAxisModel, load_two_axes
 
 __all__ = [
     "EFFECTS",
     "Candidate",
     "Chain",
+    "CrossFriction",
     "Effect",
     "FitRequest",
     "Freedom",
@@ -34,10 +36,12 @@ __all__ = [
     "OperatorNonlinearity",
     "Scale",
     "SettledNonlinearity",
+    "TwoAxisModel",
     "add_effect",
     "effect_operator",
     "from_control",
     "kind_named",
+    "load_two_axes",
     "maximum",
     "minimum",
     "neutral_operator",
@@ -58,4 +62,5 @@ if not TYPE_CHECKING:
         ("hystmpc.models.linear.systems", "from_control"),
         ("hystmpc.models.model", "Model"),
         ("hystmpc.models.operators.operator", "Memoryless Number Operator maximum minimum"),
+        ("hystmpc.models.two_axes.model", "CrossFriction TwoAxisModel load_two_axes"),
     )

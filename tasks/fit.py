@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from hystmpc.models.identify.auto import AutoFit
     from hystmpc.models.identify.uncertainty import ParameterRow
     from hystmpc.models.kinds.kind import FitRequest, Identified, ModelKind
-    from hystmpc.models.model import FitProgress, LoadedModel
+    from hystmpc.models.model import LoadedModel
     from hystmpc.models.simulator import Simulator
 
 DEFAULT_RATE_HZ = 25.0
@@ -185,24 +185,16 @@ def fit(
         check_output("--out", out, (MODEL, SIMULATOR)[: 1 + chosen.readable], files, force, of=chosen.name)
     check_page(report, figures, files, force)
     judges = read(as_list(validation)) if validation != () else []
+    judges = [trial.swapped() if inverse else trial for trial in judges]
     request = FitRequest(
-        training or chosen.usual_training(inverse),
-        seed,
-        steps,
-        hold_out,
-        tuple(trial.swapped() if inverse else trial for trial in judges),
-        constancy_weight,
-        plays,
-        skip_first_flexure,
-        _device_limits(limits),
-    )
+        training or chosen.usual_training(inverse), seed, steps, hold_out, tuple(judges), constancy_weight, plays,
+        skip_first_flexure, _device_limits(limits),
+    )  # fmt: skip
     chosen.check([], request)
     recorded, held = read(logs, say), read(tests, say) if tests else []
     if (both := both_axes(recorded)) is not None:
         only_one = {"inverse": inverse, "drive": drive, "residual": residual, "report": report, "figures": figures}
-        return cast(
-            Fit, fit_both(chosen, both, both_axes(held), request, out, only_one, _telling(chosen, request, progress))
-        )
+        return cast(Fit, fit_both(chosen, both, held, request, out, only_one, progress))
     _warn_of_limits([*recorded, *held], request.limits.command, say)
     used = tuple(trial.swapped() if inverse else trial for trial in recorded)
     done = _identify(chosen, used, request, progress, say)
@@ -212,15 +204,6 @@ def fit(
     sets = {which: part for which, part in ((SEEN, recorded), (UNSEEN, held)) if part}
     with figures_to(figures):
         return _scored(made, out, sets, skip_first_flexure, report, progress)
-
-
-def _telling(kind: ModelKind, request: FitRequest, progress: Progress | None) -> FitProgress | None:
-    """Progress of a fit of two axes, one after the other and perhaps once more."""
-    if progress is None:
-        return None
-    total = 4.0 * (kind.steps(request) or math.inf)
-    progress(0, total, "what joins both axes")
-    return lambda done, rmse: progress(done, total, f"best {rmse:.4g} deg")
 
 
 def _scored(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,17 +10,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hystmpc.trials.axes import both_axes
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
-from hystmpc.trials.types import Vec
+from hystmpc.trials.types import Progress, Vec
 
 from .outputs import SIMULATOR, check_output
 
 if TYPE_CHECKING:
     from hystmpc.models.kinds.kind import FitRequest, ModelKind
-    from hystmpc.models.model import FitProgress
     from hystmpc.models.two_axes.identify import TwoAxisFit
     from hystmpc.models.two_axes.model import TwoAxisModel
+
+_ROUNDS = 4  # fits of an axis, at most: each axis, and once more where their joint changes
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,18 +65,19 @@ class FitOfBothAxes:
 def fit_both(
     kind: ModelKind,
     trials: Sequence[Trial],
-    held: Sequence[Trial] | None,
+    held: Sequence[Trial],
     request: FitRequest,
     out: Path | str | None,
     only_one: Mapping[str, object],
-    progress: FitProgress | None,
+    progress: Progress | None,
 ) -> FitOfBothAxes:
     """Identify a model of two axes.
 
     Args:
-        held: trials that the fit does not see; None without any.
+        held: trials that the fit does not see.
         out: file to write, `.yaml`.
         only_one: options by name that one axis alone has.
+        progress: called with steps done, their number and the error so far.
 
     Raises:
         FitError: if such an option is given, or as `fit_two_axes`.
@@ -87,10 +91,17 @@ def fit_both(
         )
     if out is not None:
         check_output("--out", out, (SIMULATOR,), (), force=True)
-    done = fit_two_axes(kind, trials, request, [request.limits] * 2, progress)
-    unseen = None
-    if held:
-        errors = [done.model.run(trial.commands, trial.angles[0]) - trial.angles for trial in held]
+    total = _ROUNDS * (kind.steps(request) or math.inf)
+    if progress is not None:
+        progress(0, total, "what joins both axes")
+
+    def tell(steps: int, rmse: float) -> None:
+        if progress is not None:
+            progress(steps, total, f"best {rmse:.4g} deg")
+
+    done, unseen = fit_two_axes(kind, trials, request, [request.limits] * 2, tell), None
+    if others := both_axes(held):
+        errors = [done.model.run(trial.commands, trial.angles[0]) - trial.angles for trial in others]
         unseen = np.sqrt(np.mean(np.vstack(errors) ** 2, axis=0))
     made = FitOfBothAxes(kind.name, done, tuple(trials), unseen)
     if out is not None:

@@ -12,12 +12,14 @@ from hystmpc.trials import lazily
 
 if TYPE_CHECKING:
     from .motion import MotionLimits
+    from .plane import PlaneMotion, circle, lissajous, raster, ring, spiral, star, through_points
     from .point_to_point import PointToPoint, random_point_to_point
     from .scan import Raster, SinusoidScan, TriangleScan
     from .trajectory import PreviewTable, Sampled, Trajectory, preview, sample
 
 __all__ = [
     "MotionLimits",
+    "PlaneMotion",
     "PointToPoint",
     "PreviewTable",
     "Raster",
@@ -25,9 +27,16 @@ __all__ = [
     "SinusoidScan",
     "Trajectory",
     "TriangleScan",
+    "circle",
+    "lissajous",
     "preview",
     "random_point_to_point",
+    "raster",
+    "ring",
     "sample",
+    "spiral",
+    "star",
+    "through_points",
 ]
 
 if not TYPE_CHECKING:
@@ -35,6 +44,7 @@ if not TYPE_CHECKING:
         __name__,
         ("hystmpc.trajectories.point_to_point", "PointToPoint random_point_to_point"),
         ("hystmpc.trajectories.motion", "MotionLimits"),
+        ("hystmpc.trajectories.plane", "PlaneMotion circle lissajous raster ring spiral star through_points"),
         ("hystmpc.trajectories.scan", "Raster SinusoidScan TriangleScan"),
         ("hystmpc.trajectories.trajectory", "PreviewTable Sampled Trajectory preview sample"),
     )

@@ -97,15 +97,15 @@ def move_together(starts: Sequence[Kinematics], targets_deg: Sequence[float], li
     pairs = list(zip(starts, targets_deg, strict=True))
     moves = [move_to_rest(*pair, limits) for pair in pairs]
     longest = max(float(segments[:, 0].sum()) for segments in moves)
+    if longest == 0:
+        return moves
     for _ in range(_ROUNDS):
-        if longest == 0:
-            return moves
         moves = [move_to_rest(*pair, limits, longest) for pair in pairs]
         ends = [float(segments[:, 0].sum()) for segments in moves]
         if max(ends) - min(ends) <= _TOGETHER * longest:
             return moves
         longest = max(ends)
-    raise TrajectoryError(f"moves: got ends between {min(ends):.6g} and {max(ends):.6g} s, expected a common one")
+    raise TrajectoryError(f"moves: got no common end of the axes within {longest:.6g} s, expected other limits")
 
 
 def _words(start: Kinematics, target: Kinematics) -> str:

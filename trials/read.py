@@ -166,6 +166,7 @@ def _read_mapped(source: SignalLog, mapping: LogMapping, sampled_hz: float | Non
 
 def resolve(layout: AnyLayout) -> AnyLayout:
     """Resolve `--layout`: read a mapping from its file, or check a name."""
+    layout = str(layout) if isinstance(layout, Path) else layout
     if not isinstance(layout, str) or layout == "auto":
         return layout
     return load_mapping(layout) if is_mapping_file(layout) else layout_named(layout)

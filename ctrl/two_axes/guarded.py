@@ -29,7 +29,7 @@ from ..config import AnyControllerSettings
 from ..estimation.observer import Bytes, usable_angle
 from ..guarded import GuardedController, GuardedState
 from ..law_tables import law_over
-from ..mpc_settings import LinearisedMpcSettings
+from ..mpc_settings import LinearisedMpcSettings, PredictiveSettings
 from ..planner.reach import angles_at_rest
 from ..problem import CHANGES
 
@@ -114,10 +114,10 @@ class TwoAxisController(HoldsAddresses):
     """
 
     def __init__(self, model: TwoAxisModel, settings: AnyControllerSettings) -> None:
-        settings = settings.resolved()
-        if settings.limits is not None:
+        wanted = settings.resolved()
+        if wanted.limits is not None:
             raise ControllerError("two axes: got controller.limits of one command, expected `limits` with a list each")
-        if getattr(settings, "weights", None) is not None and settings.weights.limits_angle:  # type: ignore[union-attr]
+        if isinstance(wanted, PredictiveSettings) and wanted.weights.limits_angle:
             raise ControllerError("two axes: got weights.angle_limits_deg of one angle, expected none")
         self.model = model
         self.limits = tuple(

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from dataclasses import replace as dataclass_replace
+from functools import partial
 from pathlib import Path
 from threading import RLock
 from typing import Annotated, Any, Self, final
@@ -216,7 +217,7 @@ class TwoAxisTipController:
                     return memory.command
             reference, ahead = memory.reference, memory.steps * self.dt + self._ahead
             assert reference is not None
-            wanted, fault = attempt(lambda r=reference, t=ahead: r.at(t))  # a user's code: anything may happen
+            wanted, fault = attempt(partial(reference.at, ahead))  # a user's code: anything may happen
             with self._lock:
                 now = self._memory
                 if now.stopped or (now.reference is reference and now.steps == memory.steps):

@@ -13,7 +13,7 @@ package has that, nor Dahl's smooth friction.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -152,7 +152,8 @@ def trials_of(numbers: RodNumbers, seed: int) -> list[Trial]:
         for u in commands:
             rod.advance(u)
             angles.append(rod.measured())
-        made.append(Trial(t, commands, np.array(angles), units=Units("mm", "deg"), source=f"trial_{number}"))
+        time = np.asarray(t, dtype=np.float64)
+        made.append(Trial(time, commands, np.array(angles), units=Units("mm", "deg"), source=f"trial_{number}"))
     return made
 
 
@@ -163,8 +164,3 @@ def _limited(asked: Vec, dt: float) -> Vec:
         at = at + np.clip(wanted - at, -reach, reach)
         made[k] = at
     return made
-
-
-def changed(numbers: RodNumbers, **values: float) -> RodNumbers:
-    """The same rod with other numbers."""
-    return replace(numbers, **values)

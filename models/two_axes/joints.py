@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
-from hystmpc.trials.types import Vec, lagged
+from hystmpc.trials.types import Mask, Vec, lagged
 
 from ..play_kernel.predictor import follow_plays
 from .model import AXES
@@ -29,6 +29,7 @@ LAGS_S = (0.05, 0.15, 0.5, 3.0)
 
 _MOST = 0.8  # greatest size of a number: beyond it, commands would be exchanged
 _RIDGE = 1e-6
+_WORTH = 0.1  # of the mean square error: what further numbers have to take away
 _PARTS = 6  # parts that are left out one after another
 _KEPT = 8  # tables of columns
 _SAMPLES = 1000  # evaluated samples of every trial, at most
@@ -76,8 +77,8 @@ FREE = {"none": (), "tendons": (0, 1), "frame": (2, 3), "both": (0, 1, 2, 3)}
 def choose_joint(trials: Sequence[Trial]) -> Chosen:
     """Joint of two axes from trials of two commands and two angles.
 
-    Each joint is identified without one part of the trials after another and judged there. Of those whose error is
-    within one standard error of the least one, the one of fewest numbers is kept.
+    Each joint is identified without one part of the trials after another and judged there. Of those whose mean square
+    error is within one standard error, or a tenth, of the least one, the one of fewest numbers is kept.
 
     Raises:
         FitError: if a trial has not two commands and two angles, or an angle does not follow the commands.
@@ -100,7 +101,8 @@ def choose_joint(trials: Sequence[Trial]) -> Chosen:
     means = {name: float(values.mean()) for name, values in squares.items()}
     best = min(means, key=lambda name: means[name])
     apart = {name: values - squares[best] for name, values in squares.items()}
-    level = [name for name in FREE if means[name] - means[best] <= apart[name].std() / np.sqrt(_PARTS)]
+    slack = {name: max(apart[name].std() / np.sqrt(_PARTS), _WORTH * means[best]) for name in FREE}
+    level = [name for name in FREE if means[name] - means[best] <= slack[name]]
     kept = min(level, key=lambda name: (len(FREE[name]), means[name]))
     mix, frame = matrices(numbers[kept])
     return Chosen(
@@ -159,7 +161,7 @@ class _Data:
     def samples(self) -> int:
         return int(self.angles.shape[1])
 
-    def fitted(self, free: Sequence[int], seen: Vec, start: Vec) -> Vec:
+    def fitted(self, free: Sequence[int], seen: Mask, start: Vec) -> Vec:
         """Numbers (4,) of least error on the samples seen, searched from others; those that are not free stay."""
         q = start.copy()
         if not free:
@@ -169,11 +171,11 @@ class _Data:
             q[list(free)] = values
             return self.errors(q, seen)[:, seen].ravel()
 
-        found = least_squares(error, start[list(free)], bounds=(-_MOST, _MOST), diff_step=1e-3, max_nfev=12)
-        q[list(free)] = found.x
+        answer = least_squares(error, start[list(free)], bounds=(-_MOST, _MOST), diff_step=1e-3, max_nfev=12)
+        q[list(free)] = answer.x
         return q.copy()
 
-    def errors(self, q: Vec, seen: Vec) -> Vec:
+    def errors(self, q: Vec, seen: Mask) -> Vec:
         """Errors (2, T) [deg] of the linear model whose weights are those of the samples seen."""
         mix, frame = matrices(q)
         y = np.linalg.solve(frame, self.angles)

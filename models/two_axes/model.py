@@ -135,9 +135,10 @@ class TwoAxisModel:
         if [len(row) for row in self.frame] != [AXES] * AXES:
             raise ModelError("two axes: got a frame of another shape, expected (2, 2)")
         for name, matrix in (("mix", self.mix), ("frame", self.frame)):
-            sigma = np.linalg.svd(np.array(matrix), compute_uv=False)
-            if not np.all(np.isfinite(sigma)) or sigma[-1] < _SINGULAR * sigma[0]:
-                raise ModelError(f"two axes: {name} joins both axes into one, got singular values {sigma.round(4)}")
+            rows = np.array(matrix, dtype=np.float64)
+            sigma = np.linalg.svd(rows, compute_uv=False) if np.all(np.isfinite(rows)) else np.zeros(AXES)
+            if sigma[-1] <= _SINGULAR * sigma[0]:
+                raise ModelError(f"two axes: {name} joins both axes into one, got {rows.tolist()}")
         for k, (rest, limits) in enumerate(zip(self.rest_commands, self.command_limits, strict=True)):
             if not limits.lower <= rest <= limits.upper:
                 raise ModelError(f"two axes: rest_commands[{k}] is {rest:g}, expected {limits.lower} to {limits.upper}")

@@ -1,0 +1,285 @@
+"""Laws of the controller of two axes: limits for any input, two single axes where nothing joins them, the interface."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hystmpc import TipController
+from hystmpc.ctrl.build import build_controller, pair_for
+from hystmpc.ctrl.command import CommandLimits
+from hystmpc.ctrl.config import parse_controller
+from hystmpc.ctrl.two_axes.guarded import TwoAxisController
+from hystmpc.ctrl.two_axes.tip_controller import TwoAxisTipController
+from hystmpc.models.prediction.build import controller_model
+from hystmpc.models.simulator import ChainModel
+from hystmpc.models.two_axes.model import TwoAxisModel
+from hystmpc.trials.errors import ConfigError, ControllerError, ModelError
+
+from ..models.two_axis_examples import DT, RATE, REACH, SHARED, Vec, two_axes
+
+KINDS: tuple[dict[str, Any], ...] = (
+    {"kind": "linearised_mpc"},
+    {"kind": "sampling_mpc", "samples": 32},
+    {"kind": "inverse"},
+    {"kind": "inverse_pid"},
+    {"kind": "pid"},
+)
+JOINED = two_axes(((1.0, 0.3), (-0.2, 1.0)), ((1.0, 0.1), (0.2, 1.0)), SHARED)
+TENDONS = two_axes().with_tendons([0, 90, 180, 270], pretension=1.0, limits=[(0.2, 4.0)] * 4, rates_per_s=[RATE] * 4)
+
+
+def controller_of(model: TwoAxisModel, given_: dict[str, Any]) -> TwoAxisController:
+    return TwoAxisController(model, parse_controller(given_, "controller"))
+
+
+class Device:
+    """A device that is the model, at rest at zero travel."""
+
+    def __init__(self, model: TwoAxisModel) -> None:
+        self.model, self.sent = model, [np.array(model.rest_commands)]
+
+    def advance(self, u: Vec) -> Vec:
+        self.sent.append(u)
+        return np.asarray(self.model.run(np.array(self.sent), np.zeros(2))[-1])
+
+
+@pytest.mark.parametrize("given_", KINDS, ids=[kind["kind"] for kind in KINDS])
+def test_without_a_joint_each_axis_is_what_it_is_alone(given_: dict[str, Any]) -> None:
+    model, settings = two_axes(), parse_controller(given_, "controller")
+    both = TwoAxisController(model, settings)
+    alone = [
+        build_controller(
+            settings,
+            *pair_for(settings, controller_model(ChainModel(one, "conditioned"))),
+            CommandLimits(-REACH, REACH, RATE),
+        )
+        for one in model.axes
+    ]
+    state, states = both.init((0.0, 0.0), (0.0, 0.0)), [one.init(0.0, 0.0) for one in alone]
+    device, angles = Device(model), np.zeros(2)
+    t = DT * np.arange(60 + both.horizon)
+    wanted = np.stack([10 * np.sin(t), 8 * np.sin(0.7 * t)], axis=1)
+    for k in range(60):
+        command, state = both.step(state, angles, wanted[k : k + both.horizon])
+        for i in range(2):
+            one, states[i] = alone[i].step(states[i], float(angles[i]), wanted[k : k + both.horizon, i].copy())
+            assert command.u[i] == pytest.approx(one.u, abs=2e-6)
+        angles = device.advance(command.u)
+
+
+readings = st.one_of(
+    st.tuples(st.floats(), st.floats()),
+    st.tuples(st.floats(-40, 40), st.floats(-40, 40)),
+    st.sampled_from([None, "x", (), (1.0,), [[1.0, 2.0]]]),
+)
+references = st.one_of(
+    st.tuples(st.floats(), st.floats()), st.tuples(st.floats(-60, 60), st.floats(-60, 60)), st.none()
+)
+models = st.sampled_from([JOINED, TENDONS, two_axes()])
+
+
+@given(models, st.sampled_from(KINDS), st.lists(st.tuples(readings, references, st.booleans()), max_size=12))
+def test_any_input_is_answered_within_the_limits(
+    model: TwoAxisModel, given_: dict[str, Any], steps: list[tuple[Any, Any, bool]]
+) -> None:
+    controller = controller_of(model, given_)
+    low, high = (np.array([getattr(one, end) for one in model.command_limits]) for end in ("lower", "upper"))
+    reach = np.array(model.command_rates_per_s) * model.dt_s
+    last = np.array(model.rest_commands)
+    state = controller.init((0.0, 0.0), last)
+    for reading, reference, late in steps:
+        wanted = np.empty((0, 2)) if reference is None else np.tile(reference, (controller.horizon, 1))
+        command, state = controller.step(replace(state, refusal="late" if late else ""), reading, wanted)
+        assert np.all((low <= command.u) & (command.u <= high))
+        assert np.all(np.abs(command.u - last) <= reach * (1 + 1e-12))
+        assert command.status
+        last = command.u
+
+
+def test_the_commands_track_a_circle_that_both_axes_share() -> None:
+    """The device is the model: what is left of the error is that of the start."""
+    controller, device = controller_of(JOINED, KINDS[0]), Device(JOINED)
+    state, angles = controller.init((0.0, 0.0), (0.0, 0.0)), np.zeros(2)
+    t = DT * np.arange(150 + controller.horizon)
+    wanted = np.stack([12 * np.sin(1.2 * t), 12 * (1 - np.cos(1.2 * t))], axis=1)
+    errors = []
+    for k in range(150):
+        command, state = controller.step(state, angles, wanted[k : k + controller.horizon])
+        angles = device.advance(command.u)
+        errors.append(angles - wanted[k])
+        assert command.status == "ok"
+    assert np.sqrt(np.mean(np.square(errors[25:]))) < 0.1
+
+
+def test_where_limits_bind_one_program_decides_between_the_axes() -> None:
+    """Both axes want more than the commands allow together: the plan is not beaten by that of any cut of both."""
+    model = two_axes(((1.0, 0.8), (-0.1, 1.0)))
+    controller = controller_of(model, {"kind": "linearised_mpc", "adaptation": None})
+    state = controller.init((0.0, 0.0), (0.0, 0.0))
+    target = model.run(np.tile([2.9, 2.9], (200, 1)), (0.0, 0.0))[-1] * [1.0, 0.8]
+    wanted = np.tile(target, (controller.horizon, 1))
+    device, angles = Device(model), np.zeros(2)
+    for _ in range(60):
+        command, state = controller.step(state, angles, wanted)
+        angles = device.advance(command.u)
+    assert np.max(np.abs(command.u)) <= REACH
+    cost = float(np.sum(np.square(angles - target)))
+    for share in np.linspace(0.9, 1.0, 11):
+        for other in np.linspace(0.9, 1.0, 11):
+            u = np.clip(model.commands(model.travels(command.u) * [share, other]), -REACH, REACH)
+            held = model.run(np.vstack([np.array(device.sent), np.tile(u, (60, 1))]), np.zeros(2))[-1]
+            assert cost <= float(np.sum(np.square(held - target))) + 0.5
+
+
+def test_four_tendons_are_never_slack_and_keep_their_pretension() -> None:
+    controller, device = controller_of(TENDONS, KINDS[0]), Device(TENDONS)
+    state, angles = controller.init((0.0, 0.0), TENDONS.rest_commands), np.zeros(2)
+    for k in range(120):
+        wanted = np.tile([6.0, -5.0] if k < 60 else [-4.0, 0.0], (controller.horizon, 1))
+        command, state = controller.step(state, angles, wanted)
+        angles = device.advance(command.u)
+        assert np.min(command.u) >= 0.2
+    assert np.mean(command.u) == pytest.approx(1.0, abs=0.15)
+    assert angles == pytest.approx([-4.0, 0.0], abs=0.2)
+
+
+def test_an_axis_that_stops_stops_the_other() -> None:
+    """The sensor of x fails for good, that of y does not."""
+    controller = controller_of(two_axes(), KINDS[0])
+    state = controller.init((0.0, 0.0), (0.0, 0.0))
+    wanted = np.tile([5.0, 5.0], (controller.horizon, 1))
+    for _ in range(500):
+        _, state = controller.step(state, (np.nan, 0.0), wanted)
+        if state.first.stopped:
+            break
+    assert state.first.stopped
+    command, state = controller.step(state, (np.nan, 0.0), wanted)
+    assert state.second.stopped
+    again, _ = controller.step(state, (0.0, 0.0), wanted)
+    np.testing.assert_array_equal(again.u, command.u)
+
+
+def test_a_stop_holds_to_the_last_bit() -> None:
+    controller = controller_of(JOINED, KINDS[0])
+    state = controller.init((1.0, 2.0), (0.3, -0.7))
+    wanted = np.tile([8.0, 3.0], (controller.horizon, 1))
+    command, state = controller.step(state, (1.0, 2.0), wanted)
+    state = controller.stop(state, "by test")
+    for _ in range(3):
+        stopped, state = controller.step(state, (1.0, 2.0), wanted)
+        np.testing.assert_array_equal(stopped.u, command.u)
+        assert "by test" in stopped.status
+    assert state.stopped
+
+
+@pytest.fixture
+def tip(tmp_path: Path) -> TwoAxisTipController:
+    path = JOINED.save(tmp_path / "both.yaml")
+    given_ = {
+        "model": str(path),
+        "limits": {"lower": [-3, -3], "upper": [3, 3], "rate_per_s": [8, 8]},
+        "controller": {"kind": "linearised_mpc"},
+    }
+    return cast(TwoAxisTipController, TipController.from_config(given_))
+
+
+def test_the_interface_of_a_planner_has_arrays_of_both_axes(tip: TwoAxisTipController) -> None:
+    device, angles = Device(JOINED), np.zeros(2)
+    assert tip.step((np.nan, 1.0)).status.startswith("not started")
+    assert tip.step(angles).u.shape == (2,)
+    assert tip.set_target((9.0, -6.0))
+    for _ in range(80):
+        angles = device.advance(tip.step(angles).u)
+    state, plan = tip.state(), tip.plan()
+    assert state.settled
+    assert state.measured_deg == pytest.approx([9.0, -6.0], abs=0.5)
+    shapes = [getattr(state, name).shape for name in ("measured_deg", "reference_deg", "command", "sigma_deg")]
+    assert shapes == [(2,)] * 4
+    assert plan.command.shape == plan.predicted_deg.shape == plan.reference_deg.shape
+    reach = tip.reachable((300.0, 0.0))
+    assert not reach
+    assert np.all(np.isfinite(reach.nearest_deg))
+    for source in (lambda t: (9.0 + t, -6.0), lambda t: np.stack([9 + t, 0 * t - 6], axis=-1), [[9.0, -6.0]] * 5):
+        tip.set_reference(source)
+        assert tip.step(angles).status == "ok"
+
+
+def test_a_snapshot_determines_what_follows(tip: TwoAxisTipController) -> None:
+    tip.step((0.0, 0.0))
+    tip.set_waypoints([(5.0, 2.0), (-3.0, 4.0)], [0.2, 0.0])
+    readings_ = np.random.default_rng(1).normal(0, 0.5, (30, 2))
+    snapshot = tip.snapshot()
+    first = [tip.step(reading).u for reading in readings_]
+    tip.restore(snapshot, held=(0.0, 0.0))
+    np.testing.assert_array_equal([tip.step(reading).u for reading in readings_], first)
+
+
+def test_stop_is_released_by_reset_alone(tip: TwoAxisTipController) -> None:
+    held = tip.step((0.0, 0.0)).u
+    tip.stop()
+    np.testing.assert_array_equal(tip.step((0.0, 0.0)).u, held)
+    with pytest.raises(ControllerError, match="the stop is latched"):
+        tip.set_target((1.0, 1.0))
+    tip.reset((0.0, 0.0))
+    assert not tip.state().stopped
+
+
+def test_a_reference_that_fails_holds_and_says_so(tip: TwoAxisTipController) -> None:
+    tip.step((0.0, 0.0))
+
+    def fails(t: float) -> tuple[float, float]:
+        if t > 0.5:  # within the preview of the first step
+            raise ValueError("beyond its end")
+        return 0.0, 0.0
+
+    tip.set_reference(fails)
+    command = tip.step((0.0, 0.0))
+    assert "reference" in command.status
+    np.testing.assert_array_equal(command.u, [0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"limits": {"lower": [-3], "upper": [3, 3], "rate_per_s": [8, 8]}}, "expected 2 of each"),
+        ({"limits": {"lower": [-9, -3], "upper": [3, 3], "rate_per_s": [8, 8]}}, "beyond_model"),
+        ({"start_command": [5, 0]}, "start_command"),
+        ({"controller": {"kind": "pid", "limits": {"lower": 0, "upper": 1, "rate_per_s": 1}}}, "controller.limits"),
+        ({"controler": {}}, "controller"),
+        ({"model": "nowhere.yaml"}, "nowhere.yaml"),
+    ],
+)
+def test_wrong_settings_are_one_line(tmp_path: Path, change: dict[str, Any], words: str) -> None:
+    path = JOINED.save(tmp_path / "both.yaml")
+    with pytest.raises((ControllerError, ConfigError, ModelError), match=words) as refused:
+        TipController.from_config({"model": str(path), **change})
+    assert len(str(refused.value)) <= 300
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("target", [(1.0,), "x", (np.nan, 0.0), (1e9, 0.0)])
+def test_wrong_targets_are_one_line(tip: TwoAxisTipController, target: Any) -> None:
+    with pytest.raises(ControllerError, match="expected pairs") as refused:
+        tip.set_target(target)
+    assert len(str(refused.value)) <= 300
+
+
+def test_frames_of_a_late_sensor_start_and_correct(tmp_path: Path) -> None:
+    path = JOINED.save(tmp_path / "both.yaml")
+    given_ = {"model": str(path), "controller": {"kind": "linearised_mpc", "estimator": {"sensor": "intermittent"}}}
+    tip = cast(TwoAxisTipController, TipController.from_config(given_))
+    tip.measure((0.0, 0.0), 0.0)
+    tip.set_target((6.0, 4.0))
+    device, seen = Device(JOINED), [np.zeros(2)]
+    for k in range(120):
+        if k >= 5 and k % 5 == 0:
+            tip.measure(seen[k - 4] + 0.5, (k - 4) * tip.dt)
+        seen.append(device.advance(tip.step((np.nan, np.nan)).u))
+    assert seen[-1] + 0.5 == pytest.approx([6.0, 4.0], abs=0.4)

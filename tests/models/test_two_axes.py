@@ -1,0 +1,162 @@
+"""Laws of the model of two axes: coordinates, shared friction, files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hystmpc.models.contract.metadata import Range
+from hystmpc.models.kinds.catalogue import kind_named
+from hystmpc.models.kinds.kind import FitRequest
+from hystmpc.models.simulator import ChainModel
+from hystmpc.models.two_axes.identify import fit_two_axes
+from hystmpc.models.two_axes.joints import choose_joint
+from hystmpc.models.two_axes.model import CrossFriction, TwoAxisModel, has_two_axes, load_two_axes
+from hystmpc.trials.errors import FitError, ModelError
+from hystmpc.trials.trial import Trial
+
+from .two_axis_examples import IDENTITY, RATE, REACH, SHARED, Vec, recorded, two_axes, wandering
+
+shares = st.floats(-0.5, 0.5)
+
+
+@given(shares, shares, shares, shares, st.lists(st.floats(-3, 3), min_size=2, max_size=2))
+def test_commands_and_travels_are_each_others_inverse(a: float, b: float, c: float, d: float, u: list[float]) -> None:
+    model = two_axes(((1.0, a), (b, 1.0)), ((1.0, c), (d, 1.0)))
+    np.testing.assert_allclose(model.commands(model.travels(u)), u, atol=1e-12)
+    np.testing.assert_allclose(model.turn @ model.in_axes(u), u, atol=1e-12)
+
+
+@given(st.integers(3, 6), st.floats(0, 60), st.lists(st.floats(-2, 2), min_size=2, max_size=2))
+def test_tendons_pull_by_the_travels_with_the_least_distance_from_their_pretension(
+    count: int, first: float, w: list[float]
+) -> None:
+    model = two_axes().with_tendons(
+        [first + 360 * k / count for k in range(count)],
+        pretension=0.5,
+        limits=[(0.0, 4.0)] * count,
+        rates_per_s=[5.0] * count,
+    )
+    u = model.commands(w)
+    np.testing.assert_allclose(model.travels(u), w, atol=1e-12)
+    np.testing.assert_allclose(model.travels(model.commands([0.0, 0.0])), 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.mean(u), 0.5, atol=1e-12)  # a mean pull bends no axis
+
+
+def test_two_axes_without_a_joint_are_two_devices_of_one_axis() -> None:
+    model, u = two_axes(), wandering(3)
+    angles = model.run(u, (0.0, 0.0))
+    for i, one in enumerate(model.axes):
+        np.testing.assert_array_equal(angles[:, i], ChainModel(one).run(np.ascontiguousarray(u[:, i]), 0.0))
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0, 1]))
+def test_shared_friction_is_none_where_one_axis_moves_alone(seed: int, still: int) -> None:
+    u = wandering(seed, 200)
+    u[:, still] = 0.7
+    np.testing.assert_allclose(SHARED.run(u, 0.04), 0.0, atol=1e-12)
+
+
+def test_a_motion_of_one_axis_frees_the_other() -> None:
+    """Behind a motion of x its play holds x back by its radius; a motion of y, ten radii long, gives that back."""
+    friction = CrossFriction(lag_s=0.0, radii=(0.2,), weights=((1.0,), (1.0,)))
+    x = np.concatenate([np.linspace(0, 1, 50), np.ones(200)])
+    y = np.concatenate([np.zeros(50), np.linspace(0, 2, 200)])
+    c = friction.run(np.stack([x, y], axis=1), 0.04)
+    assert c[49] == pytest.approx([0.0, 0.0])
+    assert c[-1, 0] == pytest.approx(0.2, abs=1e-3)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_shared_friction_is_bounded(seed: int) -> None:
+    c = SHARED.run(wandering(seed, 300), 0.04)
+    most = 2 * np.array(SHARED.weights) @ np.array(SHARED.radii)
+    assert np.all(np.abs(c) <= most + 1e-9)
+
+
+def test_a_file_gives_the_model_back(tmp_path: Path) -> None:
+    model = two_axes(((1.0, 0.2), (-0.1, 1.0)), ((1.0, 0.0), (0.3, 1.0)), SHARED)
+    again = load_two_axes(model.save(tmp_path / "both.yaml"))
+    assert has_two_axes(tmp_path / "both.yaml")
+    u = wandering(5)
+    np.testing.assert_array_equal(again.run(u, (0.0, 0.0)), model.run(u, (0.0, 0.0)))
+    model.axes[0].save(tmp_path / "one.yaml")
+    assert not has_two_axes(tmp_path / "one.yaml")
+    with pytest.raises(ModelError, match="expected a model of two axes"):
+        load_two_axes(tmp_path / "one.yaml")
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"mix": ((1.0, 1.0), (1.0, 1.01))}, "joins both axes into one"),
+        ({"frame": ((1.0, 0.0), (0.0, float("nan")))}, "joins both axes into one"),
+        ({"rest_commands": (0.0,)}, "got sizes"),
+        ({"rest_commands": (9.0, 0.0)}, "rest_commands"),
+        ({"frame": ((1.0,), (0.0,))}, "frame"),
+    ],
+)
+def test_a_model_that_contradicts_itself_is_refused_in_a_line(changes: dict[str, object], words: str) -> None:
+    with pytest.raises(ModelError, match=words) as refused:
+        replace(two_axes(), **changes)  # type: ignore[arg-type]
+    assert len(str(refused.value)) <= 300
+    assert "\n" not in str(refused.value)
+
+
+def test_limits_of_travels_hold_all_commands_within_theirs() -> None:
+    model = two_axes(((1.0, 0.3), (-0.2, 1.0)))
+    (low, high, rate), (low_y, high_y, _) = model.travel_limits()
+    assert low == pytest.approx(-1.3 * REACH)
+    assert high_y == pytest.approx(1.2 * REACH) == -low_y
+    assert high == -low
+    assert rate == pytest.approx(1.3 * RATE)
+
+
+MIX, FRAME = ((1.0, 0.25), (-0.15, 1.0)), ((1.0, -0.2), (0.3, 1.0))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "mix", "frame"),
+    [("none", IDENTITY, IDENTITY), ("tendons", MIX, IDENTITY), ("frame", IDENTITY, FRAME)],
+)
+def test_what_joins_the_axes_is_chosen_and_identified(name: str, mix: tuple[Vec, Vec], frame: tuple[Vec, Vec]) -> None:
+    model = two_axes(mix, frame)  # type: ignore[arg-type]
+    fit = fit_two_axes(kind_named("pi"), recorded(model, range(3)), FitRequest())
+    assert fit.joint == name
+    np.testing.assert_allclose(fit.model.mix, mix, atol=0.03)
+    np.testing.assert_allclose(fit.model.frame, frame, atol=0.03)
+    assert all(fit.rmse_deg < 1.0)
+
+
+def test_exchanged_and_mirrored_commands_are_set_in_order() -> None:
+    model = two_axes()
+    trials = recorded(model, range(2))
+    turned = [Trial(trial.t, -trial.commands[:, ::-1], trial.angles) for trial in trials]
+    order = choose_joint(turned).joint.order
+    np.testing.assert_array_equal(order, [[0, -1], [-1, 0]])
+
+
+def test_trials_that_tell_nothing_of_a_second_axis_are_refused_in_a_line() -> None:
+    u = wandering(1)
+    still = u * [1.0, 0.0]
+    t = 0.04 * np.arange(len(u))
+    noise = np.random.default_rng(1).standard_normal(u.shape)
+    for trial, words in (
+        (Trial(t, still, u), "does not move"),
+        (Trial(t, u, noise), "does not follow"),
+        (Trial(t, u[:, 0], u[:, 0]), "expected two of each"),
+    ):
+        with pytest.raises(FitError, match=words) as refused:
+            choose_joint([trial])
+        assert len(str(refused.value)) <= 300
+
+
+def test_a_model_is_shown_in_brief() -> None:
+    model: TwoAxisModel = replace(two_axes(), command_limits=(Range(lower=-3.0, upper=3.0),) * 2)
+    assert "2 commands" in repr(model)

@@ -1,0 +1,87 @@
+"""Laws of the motions in the plane: ends at rest, continuity, limits along lines; and moves of two axes together."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hystmpc.trajectories.motion import Kinematics, MotionLimits
+from hystmpc.trajectories.plane import PlaneMotion, circle, lissajous, raster, ring, spiral, star, through_points
+from hystmpc.trajectories.ruckig_ import move_together
+from hystmpc.trials.errors import TrajectoryError
+
+LIMITS = MotionLimits(velocity_deg_s=30.0, acceleration_deg_s2=200.0, jerk_deg_s3=2000.0)
+MOTIONS = {
+    "circle": circle((1.0, 2.0), 10.0, 4.0, 2.0),
+    "spiral": spiral((0.0, 0.0), 12.0, 4.0),
+    "lissajous": lissajous((0.0, 1.0), (10.0, 6.0), (2, 3), 8.0),
+    "star": star((3.0, 0.0), 12.0, limits=LIMITS),
+    "ring": ring((0.0, 0.0), 12.0, 6, limits=LIMITS),
+    "raster": raster((-8.0, -4.0), (8.0, 4.0), 4, limits=LIMITS),
+}
+
+
+@pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
+def test_a_motion_begins_and_ends_at_rest_and_has_no_jump(motion: PlaneMotion) -> None:
+    t = np.linspace(-0.5, motion.duration_s + 0.5, 4000)
+    angles = motion(t)
+    assert angles.shape == (4000, 2)
+    speed = np.hypot(*np.diff(angles, axis=0).T) / np.diff(t)
+    assert speed[0] == speed[-1] == 0
+    assert speed.max() < 100
+    assert np.abs(np.diff(speed)).max() < 8.0
+    np.testing.assert_array_equal(motion(0.3), motion(np.array([0.3]))[0])
+
+
+@pytest.mark.parametrize("name", ["star", "ring", "raster"])
+def test_lines_are_within_the_limits(name: str) -> None:
+    motion = MOTIONS[name]
+    t = np.linspace(0.0, motion.duration_s, 20001)
+    speed = np.hypot(*np.diff(motion(t), axis=0).T) / np.diff(t)
+    assert speed.max() <= LIMITS.velocity_deg_s * 1.001
+
+
+def test_a_star_has_all_its_tips_on_its_circle_and_straight_lines() -> None:
+    motion = star((0.0, 0.0), 10.0, 5, hold_s=0.5)
+    angles = motion(np.linspace(0, motion.duration_s, 5000))
+    radius = np.hypot(*angles.T)
+    inner = 10.0 * math.cos(2 * math.pi / 5)
+    assert radius.max() == pytest.approx(10.0)
+    assert radius.min() == pytest.approx(inner, abs=0.01)
+
+
+def test_points_that_stay_are_passed_over() -> None:
+    motion = through_points([(0, 0), (0, 0), (3, 4)], 0.2, LIMITS)
+    np.testing.assert_allclose(motion(motion.duration_s), [3, 4])
+
+
+speeds = st.floats(-20, 20)
+
+
+@given(st.lists(st.floats(-50, 50), min_size=4, max_size=4), st.lists(speeds, min_size=2, max_size=2))
+def test_axes_that_move_together_arrive_together(places: list[float], first: list[float]) -> None:
+    starts = [Kinematics(places[i], first[i]) for i in range(2)]
+    moves = move_together(starts, places[2:], LIMITS)
+    ends = [float(segments[:, 0].sum()) for segments in moves]
+    assert ends[0] == pytest.approx(ends[1], rel=1e-5, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: circle((0, 0), -1.0, 4.0),
+        lambda: circle((0, math.nan), 1.0, 4.0),
+        lambda: spiral((0, 0), 1.0, 0.0),
+        lambda: star((0, 0), 5.0, tips=2),
+        lambda: through_points([(0, 0)], 0.1),
+        lambda: through_points([(0, 0), (1, math.inf)], 0.1),
+    ],
+)
+def test_motions_that_make_no_sense_are_refused_in_a_line(make: object) -> None:
+    with pytest.raises(TrajectoryError) as refused:
+        make()  # type: ignore[operator]
+    assert len(str(refused.value)) <= 300

@@ -1,0 +1,61 @@
+"""Logs of two axes: read by their columns, refused in a line where the second axis is missing or broken."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hystmpc import read_trials
+from hystmpc.trials.axes import both_axes
+from hystmpc.trials.errors import LogError
+
+HEADER = "time_s,command_x,command_y,angle_x_deg,angle_y_deg"
+
+
+def written(path: Path, header: str = HEADER, gap: bool = False) -> Path:
+    """A log of two axes."""
+    t = 0.04 * np.arange(200)
+    rows = np.column_stack([t, np.sin(t), np.cos(t), 10 * np.sin(t), 8 * np.cos(t)])
+    lines = [header, *(",".join(f"{x:.6g}" for x in row) for row in rows)]
+    if gap:
+        lines[50] = lines[50].rpartition(",")[0] + ","
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("header", [HEADER, HEADER.replace("command_x", "command_x_bar").replace("_y,", "_y_bar,", 1)])
+def test_a_log_of_two_axes_is_read_by_its_columns(tmp_path: Path, header: str) -> None:
+    (trial,) = both_axes(read_trials(written(tmp_path / "log.csv", header), rate_hz=25)) or []
+    assert trial.commands.shape == trial.angles.shape == (200, 2)
+    t = 0.04 * np.arange(200)
+    np.testing.assert_allclose(trial.commands, np.column_stack([np.sin(t), np.cos(t)]), atol=1e-5)
+    np.testing.assert_allclose(trial.angles, np.column_stack([10 * np.sin(t), 8 * np.cos(t)]), atol=1e-4)
+    assert not trial.channels
+
+
+def test_a_mapping_file_names_the_second_axis_as_channels(tmp_path: Path) -> None:
+    log = written(tmp_path / "log.csv", "t,u1,u2,pitch,yaw")
+    mapping = tmp_path / "map.yaml"
+    mapping.write_text(
+        "time: t\ncommand: {signal: u1, unit: mm}\nangle: {signal: pitch, unit: deg}\n"
+        "channels: {command_y: {signal: u2}, angle_y_deg: {signal: yaw}}\n"
+    )
+    (trial,) = both_axes(read_trials(log, layout=mapping, rate_hz=25)) or []
+    assert trial.angles.shape == (200, 2)
+
+
+def test_logs_of_one_axis_stay_as_they_are(tmp_path: Path) -> None:
+    one = written(tmp_path / "one.csv", "time_s,command,other,angle_deg,more")
+    trials = read_trials(one)
+    assert both_axes(trials) is None
+    with pytest.raises(LogError, match="got one axis") as refused:
+        both_axes([*read_trials(written(tmp_path / "two.csv")), *trials])
+    assert len(str(refused.value)) <= 300
+
+
+def test_a_gap_in_the_second_axis_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="angle_y_deg has no number") as refused:
+        both_axes(read_trials(written(tmp_path / "log.csv", gap=True)))
+    assert len(str(refused.value)) <= 300
