@@ -121,6 +121,9 @@ class Fitted:
     def with_one_more(self, base: Hypothesis, candidate: Any) -> Hypothesis:
         return self.with_causes((*base.problem.effects, candidate), None, None, None)
 
+    def finished(self, hypothesis: Hypothesis) -> Hypothesis:
+        return hypothesis
+
     def without(self, hypothesis: Hypothesis, dropped: set[str]) -> Hypothesis:
         effects = [c for c in hypothesis.problem.effects if c.effect not in dropped]
         known = self.with_causes(effects, None, None, None)
@@ -146,6 +149,21 @@ def test_what_a_cause_adds_is_fitted_again_only_where_the_rest_fits_better_than_
     assert found.chosen.hypothesis.effects == {"lag", "slack"}
     assert trials.judgements["lag"] == judgements
     assert trials.fits["lag+creep"] == judgements
+
+
+def test_what_could_not_be_added_is_neither_fitted_nor_judged() -> None:
+    """Of two causes 0.1 is left: less than a third one has to explain. What the fits do not need, trials do not."""
+    trials, library = Fitted(1.0), [Named(name) for name in ("lag", "slack", "creep")]
+    select(cast("Any", trials), cast("Any", library), SETTINGS, FLOOR, sorted(OF_SINGLE_TRIALS))
+    assert not any(name.count("+") == 2 for name in trials.fits)
+    assert trials.fits["lag+creep"]
+    assert not trials.judgements["creep+lag"]
+
+
+@given(st.floats(0.3, 9.0), st.floats(0.95, 1.5), st.sampled_from(["creep", "asymmetry", "trial_shift", "drift"]))
+def test_a_cause_that_leaves_nearly_all_is_not_added(before: float, left: float, name: str) -> None:
+    """The least that an addition has to explain: half of the lesser of two shares, `_Fits._may_be_worth`."""
+    assert chosen(nothing=10.0, lag=before, **{f"lag__{name}": left * before}) == {"lag"}
 
 
 def by_trial(names: tuple[str, ...], *mse: float) -> HeldOutErrors:
