@@ -155,10 +155,10 @@ class _Search:
         return current
 
     def _best_addition(self, current: HeldOutErrors) -> HeldOutErrors | None:
-        remaining, alone = current.mse - self._floor, bool(current.hypothesis.effects)
-        if alone and remaining <= self._settings.form_share * self._floor:
+        remaining, explained = _without_best_trial(current) - self._floor, bool(current.hypothesis.effects)
+        if explained and remaining <= self._settings.form_share * self._floor:
             return None  # not even a cause that explains all of it would be added
-        small = alone and remaining <= self._settings.sure_share * (self._baseline_mse - self._floor)
+        small = explained and remaining <= self._settings.sure_share * (self._baseline_mse - self._floor)
         judged = self._trials.all_judged(self._trials.additions(current.hypothesis, small))
         worthy = [j for j in judged if self._worth_adding(current, j)]
         if not worthy:
@@ -371,6 +371,15 @@ def _favourites(reached: Mapping[Candidate, float], most: int) -> tuple[Candidat
         reached_by_effect = sorted((c for c in reached if c.effect == effect), key=lambda c: reached[c])
         kept += reached_by_effect[:most]
     return tuple(kept)
+
+
+def _without_best_trial(judged: HeldOutErrors) -> float:
+    """Mean square error of all trials but the best one [deg^2], as a resample of the trials may have it."""
+    energy, samples = (np.bincount(judged.run, values) for values in (judged.energy, judged.samples))
+    if np.count_nonzero(samples) < 2:
+        return judged.mse
+    best = int(np.argmin(np.divide(energy, samples, out=np.full(samples.size, np.inf), where=samples > 0)))
+    return float((energy.sum() - energy[best]) / (samples.sum() - samples[best]))
 
 
 def _exceeds(gained: tuple[float, float]) -> bool:
