@@ -184,7 +184,8 @@ def confirm(prepared: PreparedTrials, attribution: Attribution, seed: int) -> Co
         floor = NoiseFloor(repeatable.noise_deg, "noise", repeatable.noise_deg)
         closed = FinalErrors(prepared, attribution.validation, retuned, retuned, floor, decision.sensor, seed).closed()
     differ_deg = repeatable.rmse_deg if repeatable.kind == "repeats" else math.nan
-    closed = replace(closed, gap=replace(closed.gap, repeats_rmse_deg=differ_deg))
+    form_deg = math.sqrt(prepared.form_mse) if prepared.form_mse else math.nan
+    closed = replace(closed, gap=replace(closed.gap, repeats_rmse_deg=differ_deg, model_form_rmse_deg=form_deg))
     return Conclusion(decision, facts, chosen, floor, closed)
 
 

@@ -40,8 +40,8 @@ _MENDS_FORM = frozenset(
 
 # Thresholds of the verdict, chosen on development cases and frozen; others are defined at their use. MSE: mean square.
 AT_FLOOR = 1.1  # retuned MSE over that of a floor, on the final trials, up to which there is no gap above it
-# The same over the model-form error, if no effect of the library explains the error: an increased model-form error, as
-# by friction, is then more likely than an unknown cause.
+# The same over the model-form error, grown with the loop, if no effect of the library explains the error: an increased
+# model-form error, as by friction, is then more likely than an unknown cause.
 _NO_CAUSE = 7.0
 _LEAST_CLOSED = 0.4  # share of the structural error that the causes have to close to explain it
 STILL_OPEN = 1.5  # remaining MSE over the floor, below which the error counts as explained all the same
@@ -214,10 +214,10 @@ def _retuned_case(case: str, facts: VerdictFacts) -> str:
     outside_core = facts.sensor or facts.jumps
     replaced = verdict == "unknown" or (verdict in ("named", "one_of") and not outside_core)
     lowered = moved >= _LOWERED and facts.retuning.unrepeatable < _UNREPEATABLE
-    return "reshaped" if replaced and lowered and _reshaped(verdict, facts) else case
+    return "reshaped" if replaced and lowered and _reshaped(case, facts) else case
 
 
-def _reshaped(verdict: Verdict, facts: VerdictFacts) -> bool:
+def _reshaped(case: str, facts: VerdictFacts) -> bool:
     """Whether the error after retuning indicates a reshaped hysteresis core; one row of the table suffices.
 
     | the error is                                                | in place of                                      |
@@ -228,8 +228,9 @@ def _reshaped(verdict: Verdict, facts: VerdictFacts) -> bool:
     | is far wider than it was, with the effects in place         |                                                  |
     """
     retuning = facts.retuning
-    vague = verdict == "unknown" or (bool(facts.effects) and facts.effects <= _MENDS_FORM)
-    higher = facts.least_retuned_mse < NO_GAP * retuning.grown_form_mse
+    vague = VERDICTS[case] == "unknown" or (bool(facts.effects) and facts.effects <= _MENDS_FORM)
+    no_cause = case in ("no_effect", "left_open")
+    higher = facts.least_retuned_mse < (_NO_CAUSE if no_cause else NO_GAP) * retuning.grown_form_mse
     spread = retuning.friction_share >= _FRICTION
     better = bool(facts.effects) and retuning.friction_share >= facts.closed
     wider = facts.width_grown >= WIDTH_GROWN and retuning.reidentified_share >= _ANEW
