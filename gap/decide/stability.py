@@ -96,7 +96,7 @@ class _ResampledVerdict:
         self._facts, self._seed = conclusion.facts, seed
         self._floor, self._form_mse = conclusion.floor, prepared.form_mse
         self._spread, self._moved = conclusion.closed.spread, conclusion.closed.moved
-        self._faults_mse = prepared.excess_mse
+        self._faults_mse, self._final_part = prepared.excess_mse, prepared.final_part
         validation, selection = attribution.validation, attribution.selection
         self._tried = {names: _errors_on_all_runs(judged, prepared.final) for names, judged in selection.tried.items()}
         self._drift_shows = drift_test(validation)
@@ -172,7 +172,8 @@ class _ResampledVerdict:
         )
         if kept and kept != facts.effects:
             facts = facts.with_only(kept, tried[kept].mse, width_grown(tried[kept].hypothesis))
-        return decide_verdict(replace(facts, final=closed))
+        everywhere = facts.closed_everywhere((final[frozenset()].mse, final[kept].mse), self._final_part)
+        return decide_verdict(replace(facts, final=replace(closed, everywhere=everywhere)))
 
 
 def _errors_on_all_runs(judged: HeldOutErrors, final: Sequence[Run]) -> HeldOutErrors:
