@@ -41,6 +41,7 @@ class SelectionSettings:
             remains replace `least_share` and `most_share`: a third cause may leave no doubt and still be small.
         generic_share: share of all that remains, less a faulty sensor's noise, that a generic effect next to others
             has to explain: what the wrong forms of these leave looks like one. At 0.64 the RMSE falls to 0.6.
+        generic_sure: the same, from which a clear fall leaves no doubt, and `sure_share` is enough: the RMSE halves.
         drift_errors: by so many standard errors a drift beside shifts of trials needs no share of the whole error.
         recurs: by this share of the mean fall the median trial has to gain from what each trial has of its own.
         everywhere: the share of every trial's error that shifts have to explain where the median trial gains less.
@@ -67,6 +68,7 @@ class SelectionSettings:
     clear_share: float = 0.1
     clear_most: float = 0.3
     generic_share: float = 0.64
+    generic_sure: float = 0.75
     drift_errors: float = 3.0
     recurs: float = 0.25
     everywhere: float = 0.5
@@ -177,7 +179,11 @@ class _Search:
         remaining = before.mse - self._floor
         most = settings.clear_most if clear else settings.most_share
         imitates = self._strict and bool(before.hypothesis.effects) and any(EFFECTS[name].generic for name in new)
-        sure = not imitates and fall > settings.sure_errors * error and useful > most * remaining
+        explainable = before.mse - self._faults
+        if imitates:
+            sure = clear and useful > settings.generic_sure * explainable
+        else:
+            sure = fall > settings.sure_errors * error and useful > most * remaining
         whole = (settings.sure_share if sure else settings.gap_share) * (self._baseline_mse - self._floor)
         within = new == {"drift"} and "trial_shift" in before.hypothesis.effects
         if within and fall > settings.drift_errors * error:
@@ -189,7 +195,7 @@ class _Search:
         if new & OF_SINGLE_TRIALS and not _recurs(before, after, new, settings):
             return False
         least = max(share * remaining, whole, settings.form_share * self._floor)
-        least = max(least, settings.generic_share * (before.mse - self._faults)) if imitates else least
+        least = max(least, settings.generic_share * explainable) if imitates else least
         return sureness(before, after) > settings.standard_errors and useful > least
 
     def _dropped(self, current: HeldOutErrors) -> HeldOutErrors:

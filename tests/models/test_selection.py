@@ -83,6 +83,13 @@ def test_beside_another_cause_a_generic_one_has_to_explain_most_of_what_is_left(
     assert (name in found) == (0.6 - left > SETTINGS.generic_share * 0.6)
 
 
+@given(st.floats(0.02, 0.6), st.sampled_from(["asymmetry", "nonlinear_gain"]))
+def test_beside_a_large_cause_a_generic_one_has_to_halve_what_is_left(left: float, name: str) -> None:
+    """All of it is less than 8 % of the gap; three quarters of its energy are no form error of another cause."""
+    found = chosen(nothing=10.0, lag=0.6, **{f"lag__{name}": left})
+    assert (name in found) == (0.6 - left > SETTINGS.generic_sure * 0.6)
+
+
 def test_an_exchange_brings_no_generic_cause_that_could_not_have_been_added() -> None:
     errors = {"nothing": 8.0, "lag": 1.0, "contact": 4.0, "asymmetry": 4.0, "lag__contact": 0.5}
     assert chosen(**errors, lag__asymmetry=0.4) == {"lag", "contact"}
