@@ -244,7 +244,8 @@ def _reshaped(case: str, facts: VerdictFacts) -> bool:
     | is far wider than it was, with the effects in place         |                                                  |
     """
     retuning = facts.retuning
-    vague = VERDICTS[case] == "unknown" or (bool(facts.effects) and facts.effects <= _MENDS_FORM)
+    replaceable = {names[0] for names in facts.ambiguity if _MENDS_FORM & set(names)}
+    vague = VERDICTS[case] == "unknown" or (bool(facts.effects) and facts.effects <= _MENDS_FORM | replaceable)
     higher = facts.least_retuned_mse < NO_GAP * retuning.grown_form_mse
     if case in ("no_effect", "left_open"):
         grown = min(retuning.grown_form_mse, _NO_CAUSE * facts.form_mse)

@@ -134,6 +134,9 @@ def test_what_closes_everywhere_is_between_what_closes_in_parts(left: float, fin
         (replace(EXPLAINED, effects=frozenset({"asymmetry"}), retuning=GROWN), "reshaped", "retuned"),
         (replace(EXPLAINED, effects=frozenset({"asymmetry"}), retuning=GROWN, jumps=True), "explained", "named"),
         (replace(NOTHING, jumps=True, retuning=GROWN), "jumps", "named"),
+        # what a generic effect could replace is as vague as that
+        (replace(EXPLAINED, ambiguity=(("lag", "asymmetry"),), retuning=GROWN), "reshaped", "retuned"),
+        (replace(AMBIGUOUS, retuning=GROWN), "ambiguous", "one_of"),
         # plays of the core explain more than the effects
         (replace(EXPLAINED, chosen_mse=0.5, retuning=GROWN), "reshaped", "retuned"),
         (replace(EXPLAINED, chosen_mse=0.5, retuning=GROWN, sensor=True), "explained", "named"),
