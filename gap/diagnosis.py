@@ -27,7 +27,8 @@ Order = Literal["known", "unknown"]
 
 
 FLIPS = "the verdict flips between splits of the trials, so that no simulator surely stands for the device"
-"""Reason for no prediction from effects that are unreliable."""
+REFUTED = "the replay in your simulator does not confirm every effect"
+"""Reasons for no prediction from effects that are unreliable."""
 
 _STABLE = 0.7  # of the resamples: a verdict that comes out less often is said to flip
 _NO_FALL, _HIDDEN = 0.05, 0.3  # of the error: less is no fall; the same where the fall is below the floor
@@ -93,6 +94,8 @@ class Gap:
         closed_ci90: 90 % interval of the closed share.
         repeats_rmse_deg: difference between repeats of a motion, retuned [deg]; not-a-number without repeats. If the
             retuned error is at most this and has no known cause, the floor is the noise.
+        model_form_rmse_deg: error that the simulator left on the trials it was identified on, in motions like those
+            of these trials, noise included [deg]; not-a-number if unknown.
     """
 
     nominal_rmse_deg: float
@@ -106,6 +109,7 @@ class Gap:
     closed_ci90: Interval
     final_trials: tuple[str, ...]
     repeats_rmse_deg: float = math.nan
+    model_form_rmse_deg: float = math.nan
 
     @property
     def unrepeatable(self) -> bool:
@@ -333,6 +337,16 @@ class Diagnosis:
     def relies_on_its_split(self) -> bool:
         """Whether effects are named that too few other splits of the trials confirm."""
         return bool(self.effects) and self.stability is not None and self.stability.flips
+
+    @property
+    def refuted(self) -> tuple[str, ...]:
+        """Effects that a replay does not confirm: the interval of their closed share reaches 0 or below."""
+        return tuple(name for name, one in self.confirmed.items() if one.ci90[0] <= 0)
+
+    @property
+    def doubt(self) -> str:
+        """Reason not to rely on the named effects; empty without one."""
+        return FLIPS if self.relies_on_its_split else REFUTED if self.refuted else ""
 
     @property
     def probabilities(self) -> dict[str, float]:

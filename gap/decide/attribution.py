@@ -173,6 +173,7 @@ def confirm(prepared: PreparedTrials, attribution: Attribution, seed: int) -> Co
         unproven=provisional.explained and bool(attribution.facts.effects) and not chosen.effects,
         at_floor=_at_floor(closed, repeatable.noise_deg),
         moved=closed.moved,
+        everywhere=facts.closed_everywhere(_final_mse(closed), prepared.final_part),
     )
     decision = decide_verdict(replace(facts, final=final))
     if (chosen.effects and not decision.explained) or (decision.sensor and not facts.sensor):
@@ -184,7 +185,8 @@ def confirm(prepared: PreparedTrials, attribution: Attribution, seed: int) -> Co
         floor = NoiseFloor(repeatable.noise_deg, "noise", repeatable.noise_deg)
         closed = FinalErrors(prepared, attribution.validation, retuned, retuned, floor, decision.sensor, seed).closed()
     differ_deg = repeatable.rmse_deg if repeatable.kind == "repeats" else math.nan
-    closed = replace(closed, gap=replace(closed.gap, repeats_rmse_deg=differ_deg))
+    form_deg = math.sqrt(prepared.form_mse) if prepared.form_mse else math.nan
+    closed = replace(closed, gap=replace(closed.gap, repeats_rmse_deg=differ_deg, model_form_rmse_deg=form_deg))
     return Conclusion(decision, facts, chosen, floor, closed)
 
 
@@ -209,6 +211,10 @@ def _confirmed_causes(
         if not weakest:
             return replace(facts, jumps="stick_slip" in closed.causes and facts.jumps), chosen, floor, closed
         facts, chosen = _without_cause(attribution, facts, chosen, weakest)
+
+
+def _final_mse(closed: GapClosed) -> tuple[float, float]:
+    return closed.gap.retuned_rmse_deg**2, closed.gap.with_effects_rmse_deg**2
 
 
 def _at_floor(closed: GapClosed, floor_deg: float) -> bool:

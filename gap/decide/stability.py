@@ -96,7 +96,7 @@ class _ResampledVerdict:
         self._facts, self._seed = conclusion.facts, seed
         self._floor, self._form_mse = conclusion.floor, prepared.form_mse
         self._spread, self._moved = conclusion.closed.spread, conclusion.closed.moved
-        self._faults_mse = prepared.excess_mse
+        self._faults_mse, self._final_part = prepared.excess_mse, prepared.final_part
         validation, selection = attribution.validation, attribution.selection
         self._tried = {names: _errors_on_all_runs(judged, prepared.final) for names, judged in selection.tried.items()}
         self._drift_shows = drift_test(validation)
@@ -110,8 +110,10 @@ class _ResampledVerdict:
     def verdict(self, split: _TrialSplit) -> tuple[Verdict, Names]:
         """Verdict and names of the effects on one split."""
         development, end, seed = split
-        tried = {names: _errors_on_runs(judged, development, seed) for names, judged in self._tried.items()}
-        final: dict[Names, Blocks] = {n: _errors_on_runs(judged, end, seed) for n, judged in self._tried.items()}
+        blocks = self._tried[frozenset()].run  # the same of all
+        places = _blocks_on_runs(blocks, development, seed), _blocks_on_runs(blocks, end, seed)
+        tried = {names: _errors_on_runs(judged, development, places[0]) for names, judged in self._tried.items()}
+        final: dict[Names, Blocks] = {n: _errors_on_runs(judged, end, places[1]) for n, judged in self._tried.items()}
         selection = reselect(tried, SelectionSettings(), self._facts.floor_mse, self._faults_mse)
         names = selection.chosen.hypothesis.effects
         facts = replace(
@@ -170,7 +172,8 @@ class _ResampledVerdict:
         )
         if kept and kept != facts.effects:
             facts = facts.with_only(kept, tried[kept].mse, width_grown(tried[kept].hypothesis))
-        return decide_verdict(replace(facts, final=closed))
+        everywhere = facts.closed_everywhere((final[frozenset()].mse, final[kept].mse), self._final_part)
+        return decide_verdict(replace(facts, final=replace(closed, everywhere=everywhere)))
 
 
 def _errors_on_all_runs(judged: HeldOutErrors, final: Sequence[Run]) -> HeldOutErrors:
@@ -188,13 +191,17 @@ def _errors_on_all_runs(judged: HeldOutErrors, final: Sequence[Run]) -> HeldOutE
     )
 
 
-def _errors_on_runs(judged: HeldOutErrors, runs: Sequence[int], seed: int | None) -> HeldOutErrors:
-    """Errors on some runs; with a seed, on an equal number of blocks of each, drawn with replacement."""
-    places = [np.flatnonzero(judged.run == k) for k in runs]
+def _blocks_on_runs(run: Index, runs: Sequence[int], seed: int | None) -> Index:
+    """Blocks of some runs; with a seed, an equal number of blocks of each, drawn with replacement."""
+    places = [np.flatnonzero(run == k) for k in runs]
     if seed is not None:
         random = np.random.default_rng(seed)
         places = [blocks[random.integers(0, blocks.size, blocks.size)] for blocks in places]
-    at: Index = np.concatenate(places)
+    return np.concatenate(places)
+
+
+def _errors_on_runs(judged: HeldOutErrors, runs: Sequence[int], at: Index) -> HeldOutErrors:
+    """Errors on some runs, in some of their blocks."""
     return replace(
         judged,
         energy=judged.energy[at],

@@ -40,14 +40,15 @@ _MENDS_FORM = frozenset(
 
 # Thresholds of the verdict, chosen on development cases and frozen; others are defined at their use. MSE: mean square.
 AT_FLOOR = 1.1  # retuned MSE over that of a floor, on the final trials, up to which there is no gap above it
-# The same over the model-form error, if no effect of the library explains the error: an increased model-form error, as
-# by friction, is then more likely than an unknown cause.
+# The same over the model-form error, grown with the loop, if no effect of the library explains the error: an increased
+# model-form error, as by friction, is then more likely than an unknown cause.
 _NO_CAUSE = 7.0
 _LEAST_CLOSED = 0.4  # share of the structural error that the causes have to close to explain it
 STILL_OPEN = 1.5  # remaining MSE over the floor, below which the error counts as explained all the same
 _CONFIRMED_ALONE, _CONFIRMED_SEVERAL = 0.55, 0.8  # share of the final gap that one cause, or several, must close
 # RMSE with all causes over noise and model-form error, up to which they are confirmed as well; of a simulator with a
-# large model-form error nearly everything is within that, so that they must close the least share all the same.
+# large model-form error nearly everything is within that, so that they must close the least share all the same. So must
+# those that close enough of all trials: slow final trials hold little of what fast ones show.
 _CONFIRMED_LEFT = 2.4
 _MOVED = 2.0  # MSE of the simulator as given over that of the retuned one, from which numbers were off ...
 _LOWERED = 1.2  # ... and the same where the retuned one leaves more than its form error had been
@@ -69,6 +70,7 @@ class FinalFacts:
         unproven: whether effects were selected, but none of them significantly lowers the error.
         at_floor: whether the error of the retuned simulator is at most the noise.
         moved: mean square error of the simulator as given over that of the retuned one.
+        everywhere: closed share of all trials, the development trials as held out (`closed_everywhere`).
     """
 
     closed_share: float
@@ -76,6 +78,7 @@ class FinalFacts:
     unproven: bool = False
     at_floor: bool = False
     moved: float = math.inf
+    everywhere: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -126,6 +129,19 @@ class VerdictFacts:
     def closed(self) -> float:
         """Share of the structural error of the development trials closed by the selected effects."""
         return (self.retuned_mse - self.chosen_mse) / max(self.retuned_mse - self.floor_mse, 1e-12)
+
+    def closed_everywhere(self, final_mse: tuple[float, float], part: float) -> float:
+        """Share of the structural error of all trials closed by the selected effects, held out.
+
+        Args:
+            final_mse: errors of the final trials without and with the effects [deg^2].
+            part: of all samples that is of the final trials.
+        """
+        before, after = (
+            (1 - part) * one + part * other
+            for one, other in zip((self.retuned_mse, self.chosen_mse), final_mse, strict=True)
+        )
+        return (before - after) / max(before - self.floor_mse, 1e-12)
 
     def with_only(self, effects: frozenset[str], chosen_mse: float, width_grown: float) -> VerdictFacts:
         """Facts after removal of all effects but the given ones."""
@@ -214,10 +230,10 @@ def _retuned_case(case: str, facts: VerdictFacts) -> str:
     outside_core = facts.sensor or facts.jumps
     replaced = verdict == "unknown" or (verdict in ("named", "one_of") and not outside_core)
     lowered = moved >= _LOWERED and facts.retuning.unrepeatable < _UNREPEATABLE
-    return "reshaped" if replaced and lowered and _reshaped(verdict, facts) else case
+    return "reshaped" if replaced and lowered and _reshaped(case, facts) else case
 
 
-def _reshaped(verdict: Verdict, facts: VerdictFacts) -> bool:
+def _reshaped(case: str, facts: VerdictFacts) -> bool:
     """Whether the error after retuning indicates a reshaped hysteresis core; one row of the table suffices.
 
     | the error is                                                | in place of                                      |
@@ -228,8 +244,12 @@ def _reshaped(verdict: Verdict, facts: VerdictFacts) -> bool:
     | is far wider than it was, with the effects in place         |                                                  |
     """
     retuning = facts.retuning
-    vague = verdict == "unknown" or (bool(facts.effects) and facts.effects <= _MENDS_FORM)
+    replaceable = {names[0] for names in facts.ambiguity if _MENDS_FORM & set(names)}
+    vague = VERDICTS[case] == "unknown" or (bool(facts.effects) and facts.effects <= _MENDS_FORM | replaceable)
     higher = facts.least_retuned_mse < NO_GAP * retuning.grown_form_mse
+    if case in ("no_effect", "left_open"):
+        grown = min(retuning.grown_form_mse, _NO_CAUSE * facts.form_mse)
+        higher = higher or facts.least_retuned_mse < _NO_CAUSE * grown
     spread = retuning.friction_share >= _FRICTION
     better = bool(facts.effects) and retuning.friction_share >= facts.closed
     wider = facts.width_grown >= WIDTH_GROWN and retuning.reidentified_share >= _ANEW
@@ -241,5 +261,5 @@ def _confirmed(facts: VerdictFacts) -> bool:
     if facts.final is None:
         return True
     enough = _CONFIRMED_SEVERAL if len(facts.effects) > 1 else _CONFIRMED_ALONE
-    near = facts.final.residual_ratio <= _CONFIRMED_LEFT and facts.final.closed_share >= _LEAST_CLOSED
-    return facts.final.closed_share >= enough or near
+    near = facts.final.residual_ratio <= _CONFIRMED_LEFT or facts.final.everywhere >= enough
+    return facts.final.closed_share >= enough or (near and facts.final.closed_share >= _LEAST_CLOSED)

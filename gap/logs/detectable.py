@@ -13,7 +13,7 @@ from hystmpc.models.effects.effect import Candidate, Scale, unit_on
 from hystmpc.models.identify.baseline import Baseline
 from hystmpc.models.identify.problem import Problem
 from hystmpc.models.identify.runs import Run
-from hystmpc.trials.types import Mat, Vec
+from hystmpc.trials.types import Mat
 
 from ..diagnosis import Detectable, DetectableSizes
 from .preparation import PreparedTrials
@@ -71,8 +71,10 @@ def detectable_sizes(baseline: Baseline, runs: Sequence[Run], needed_mse: float)
     problem = Problem(baseline)
     nominal, slopes = zip(*(problem.linearised(problem.as_given, run) for run in runs), strict=True)
     known = np.linalg.qr(np.concatenate(slopes))[0]
-    angles = np.concatenate(nominal)
-    shown = [replace(run, angle=theta) for run, theta in zip(runs, nominal, strict=True)]
+    shown = [
+        replace(run, angle=theta, counts=np.ones(theta.size, dtype=np.bool_), lead=0)
+        for run, theta in zip(runs, nominal, strict=True)
+    ]
     scale = replace(Scale.of(shown), fastest=math.inf)
     kept = 1.0 - 1.0 / len(runs)  # of shifts between trials the common one is an offset
     shift = math.sqrt(needed_mse / kept) if kept else math.inf
@@ -87,14 +89,12 @@ def detectable_sizes(baseline: Baseline, runs: Sequence[Run], needed_mse: float)
         if candidate.free:
             first_forms.setdefault(candidate.effect, candidate)
     for candidate in first_forms.values():
-        sizes[candidate.effect] = _least(candidate, baseline, runs, angles, known, needed_mse)
+        sizes[candidate.effect] = _least(candidate, baseline, shown, known, needed_mse)
     return tuple(sizes[name] for name in diagnosable() if name in sizes)
 
 
-def _least(
-    candidate: Candidate, baseline: Baseline, runs: Sequence[Run], nominal: Vec, known: Mat, needed_mse: float
-) -> Detectable:
-    """Smallest detectable size of one effect, by log-log interpolation between sizes on a grid."""
+def _least(candidate: Candidate, baseline: Baseline, runs: Sequence[Run], known: Mat, needed_mse: float) -> Detectable:
+    """Smallest detectable size of one effect in runs of the nominal simulator, by log-log interpolation on a grid."""
     effect, names = EFFECTS[candidate.effect], [freedom.name for freedom in candidate.free]
     place = next(k for k, name in enumerate(names) if name in effect.neutral)
     freedom, neutral = candidate.free[place], effect.neutral[names[place]]
@@ -108,7 +108,7 @@ def _least(
         if not freedom.lower <= value <= freedom.upper:
             continue
         q = problem.start(baseline.nominal, [[*start[:place], value, *start[place + 1 :]]])
-        change = np.concatenate([problem.angles(q, run) for run in runs]) - nominal
+        change = np.concatenate(problem.held_out_errors(q, runs))
         left = change - known @ (known.T @ change)
         square, size = float(np.mean(left**2)), abs(value - neutral)
         if square >= needed_mse and np.isfinite(square):

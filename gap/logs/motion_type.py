@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,6 +10,9 @@ from typing import Literal
 
 import numpy as np
 
+from hystmpc.models.chain import Chain
+from hystmpc.models.identify.free_run import StagedChain
+from hystmpc.models.operators.hysteresis import Play
 from hystmpc.trials.segments import Motion, SegmentRule, Segments, segment
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Index, Mask, Mat, Vec, lagged
@@ -215,13 +219,13 @@ def _features_of_past(u: Vec, dt: float) -> Mat:
 
 def play_states(u: Vec, half: Vec, side: float = 0.0) -> Mat:
     """States (T, R) of plays of half-widths r (R,): p = max(u - r, min(u + r, p)), from u + `side` r on."""
-    lower, upper = u[:, None] - half, u[:, None] + half
-    p = np.empty_like(lower)
-    now = u[0] + side * half
-    for k in range(u.size):
-        now = np.minimum(np.maximum(now, lower[k]), upper[k])
-        p[k] = now
-    return p
+    commands, begin = np.repeat(u[:, None], half.size, axis=1), (u[0] + side * half)[None]
+    return _play().simulate(commands, 1.0, begin, half[None])[0]
+
+
+@functools.cache
+def _play() -> StagedChain:
+    return StagedChain(Chain(Play(0.0)))
 
 
 def _decaying(age: Index, dt: float, weight: Vec) -> list[Vec]:

@@ -89,6 +89,12 @@ class PreparedTrials:
         """RMS error of readings on a grid; 0 without a grid [deg]."""
         return self.signs.quantisation_deg / math.sqrt(12.0)
 
+    @property
+    def final_part(self) -> float:
+        """Part of all samples that is of the final trials."""
+        final, rest = (sum(int(run.counts.sum()) for run in runs) for runs in (self.final, self.development))
+        return final / max(final + rest, 1)
+
     def residuals(self, hypothesis: Hypothesis) -> list[Vec]:
         """Measured minus simulated angle of every run (T,) each [deg]."""
         return [run.angle - hypothesis.angles(run) for run in self.everything]

@@ -149,7 +149,8 @@ def _fit_with(findings: Findings, base: Hypothesis, name: str) -> Hypothesis | N
     validation = findings.attribution.validation
     library = usable_effects(findings.prepared, validation.baseline.effects, (), validation.runs)
     made = [validation.with_one_more(base, candidate) for candidate in library if candidate.effect == name]
-    return min(made, key=lambda h: h.mse, default=None)
+    best = min(made, key=lambda h: h.mse, default=None)
+    return best and validation.finished(best)
 
 
 def _families(findings: Findings) -> dict[str, Hypothesis]:

@@ -14,7 +14,6 @@ from hystmpc.trials.trial import Units
 
 from ..diagnosis import (
     FIXED_FILE,
-    FLIPS,
     Detectable,
     DetectableSizes,
     Diagnosis,
@@ -199,8 +198,8 @@ def tracking_sentence(diagnosis: Diagnosis) -> str:
     tracking = diagnosis.tracking
     if tracking is None:
         return ""
-    if tracking.why_not or diagnosis.relies_on_its_split:
-        return f"How far the closed-loop tracking error falls cannot be said: {tracking.why_not or FLIPS}."
+    if tracking.why_not or diagnosis.doubt:
+        return f"How far the closed-loop tracking error falls cannot be said: {tracking.why_not or diagnosis.doubt}."
     before = _size_of(tracking.before_deg, tracking.before_range_deg, diagnosis.unit)
     after = _size_of(tracking.after_deg, tracking.after_range_deg, diagnosis.unit)
     floor = diagnosis.gap.floor_rmse_deg
@@ -351,7 +350,7 @@ def next_actions(data: ReportData) -> tuple[str, ...]:
     diagnosis, motion = data.diagnosis, data.diagnosis.next_motion
     said = [_corrected(data)]
     tracking = diagnosis.tracking
-    if tracking is not None and not tracking.why_not and not diagnosis.relies_on_its_split:
+    if tracking is not None and not tracking.why_not and not diagnosis.doubt:
         said.append(tracking_sentence(diagnosis))
     if diagnosis.replay and diagnosis.confirmed_rmse_deg is None:
         said.append(
@@ -452,6 +451,9 @@ def _corrected(data: ReportData) -> str:
     names = listed([in_words(effect.name) for effect in diagnosis.effects], "and")
     if diagnosis.relies_on_its_split:
         return f"Do not rely on {names}: the verdict flips. Record more trials and diagnose all logs together."
+    if diagnosis.refuted:
+        refuted = listed([in_words(name) for name in diagnosis.refuted], "and")
+        return f"Do not rely on {names}: the replay does not confirm {refuted}. Record more trials and diagnose anew."
     if data.fixed is None:
         return f"Use {EFFECTS_FILE} beside the network." if EFFECTS_FILE in data.files else ""
     if diagnosis.verdict in ("named", "one_of"):

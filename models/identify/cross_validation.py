@@ -130,9 +130,15 @@ class _ErrorProducts:
 
     def _pull(self, square: Vec, q: Vec) -> Vec:
         """Products of derivatives and errors of the distance from the start and of roughness."""
-        away = np.column_stack([np.eye(q.size), q - self._start])
-        rough = np.column_stack([self._problem.roughness, self._problem.roughness @ q])
-        return np.asarray(_HELD * np.max(np.diag(square)[:-1], initial=0.0) * away.T @ away + rough.T @ rough)
+        away, rough = q - self._start, self._problem.roughness
+        pull = np.eye(q.size + 1)
+        pull[-1, :-1] = pull[:-1, -1] = away
+        pull[-1, -1] = away @ away
+        pull *= _HELD * np.max(np.diag(square)[:-1], initial=0.0)
+        if len(rough):
+            rows = np.column_stack([rough, rough @ q])
+            pull += rows.T @ rows
+        return pull
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,6 +197,8 @@ class CrossValidation:
 
     Attributes:
         evaluations: of a fit from one start.
+        tolerance, search_tolerance: relative fall of the error at which a fit ends, and at which one of many starts and
+            forms does that are compared before the best are `finished`.
         in_time: whether a single run is held out in thirds of its time; else its training error counts.
         most_folds: greatest number of folds. Of few logs each is often the only one of its kind: with as many folds as
             logs, a fit misses no other one.
@@ -199,6 +207,8 @@ class CrossValidation:
     baseline: Baseline
     runs: tuple[Run, ...]
     evaluations: int = 12
+    tolerance: float = 1e-3
+    search_tolerance: float = 1e-2
     in_time: bool = False
     most_folds: int = 3
 
@@ -214,18 +224,28 @@ class CrossValidation:
         return fit_problem(problem, self.runs, problem.start(self.baseline.nominal, []), 40, 1e-6)
 
     def with_causes(
-        self, effects: Sequence[Candidate], terms: TrialTerms, z: Vec, starts: Sequence[Sequence[Sequence[float]]]
+        self,
+        effects: Sequence[Candidate],
+        terms: TrialTerms,
+        z: Vec,
+        starts: Sequence[Sequence[Sequence[float]]],
+        tolerance: float | None = None,
     ) -> Hypothesis:
         """Causes fitted jointly with the baseline, from baseline values z and several values of the effects."""
-        problem = Problem(self.baseline, effects, terms)
-        return min((self._fitted(problem, problem.start(z, values)) for values in starts), key=lambda fit: fit.mse)
+        problem, ends = Problem(self.baseline, effects, terms), tolerance or self.tolerance
+        fits = (self._fitted(problem, problem.start(z, values), ends) for values in starts)
+        return min(fits, key=lambda fit: fit.mse)
 
-    def _fitted(self, problem: Problem, start: Vec) -> Hypothesis:
+    def _fitted(self, problem: Problem, start: Vec, tolerance: float) -> Hypothesis:
         """Fit from one start; a selection asks for some of them again."""
-        key = problem.effects, problem.terms, start.tobytes()
+        key = problem.effects, problem.terms, start.tobytes(), tolerance
         if key not in self._known:
-            self._known.setdefault(key, fit_problem(problem, self.runs, start, self.evaluations, 1e-3))
+            self._known.setdefault(key, fit_problem(problem, self.runs, start, self.evaluations, tolerance))
         return self._known[key]
+
+    def finished(self, hypothesis: Hypothesis) -> Hypothesis:
+        """Hypothesis of a search, fitted from where that ended."""
+        return fit_problem(hypothesis.problem, self.runs, hypothesis.q, self.evaluations, self.tolerance)
 
     @cached_property
     def _known(self) -> dict[tuple[object, ...], Hypothesis]:
@@ -233,11 +253,12 @@ class CrossValidation:
         return {}
 
     def with_one_more(self, base: Hypothesis, candidate: Candidate) -> Hypothesis:
-        """One more cause, from its starts and the present values of a hypothesis, fitted jointly with all others."""
+        """One more cause, searched from its starts and the present values of a hypothesis, jointly with all others."""
         effects, begin = (*base.problem.effects, candidate), candidate.starts
         if candidate.variant == CORE:
             begin = self.baseline.begin.get(candidate.effect, begin)
-        return self.with_causes(effects, base.problem.terms, base.z, [[*base.values, start] for start in begin])
+        starts = [[*base.values, start] for start in begin]
+        return self.with_causes(effects, base.problem.terms, base.z, starts, self.search_tolerance)
 
     def without(self, hypothesis: Hypothesis, dropped: AbstractSet[str]) -> Hypothesis:
         """Hypothesis refitted without some of its causes, from its present values."""
@@ -278,7 +299,7 @@ class CrossValidation:
         problem, fold_q = hypothesis.problem, []
         parts: list[list[Vec]] = [[] for _ in self.runs]
         for rest, held_out in self._splits:
-            q = fit_problem(problem, rest, hypothesis.q, self.evaluations, 1e-3).q if rest else hypothesis.q
+            q = fit_problem(problem, rest, hypothesis.q, self.evaluations, self.tolerance).q if rest else hypothesis.q
             fold_q.append(q)
             for k, error in zip(held_out, problem.held_out_errors(q, list(held_out.values())), strict=True):
                 parts[k].append(error)

@@ -26,6 +26,7 @@ _MARGIN = 1e-9  # share of the distance of both bounds: derivatives at a bound a
 _FIRST_REACH = 0.19  # not round: at whole samples of a delay the error has a kink
 _POOR, _GOOD, _SMALLER, _LARGER = 0.25, 0.75, 0.25, 2.0
 _AT_REACH = 0.95
+_LIMITED = 0.1  # of the tolerance, at which a search ends whose step the box has limited: it would go farther
 _LEAST_STEP = 1e-6  # in units: a search ends where a step below it is refused
 _CHANGES = 10  # of the active set, for each unknown
 _THREADS = 2
@@ -95,7 +96,7 @@ def minimise_in_boxes(
         bounds: lower and upper (Q,).
         units: usual steps of the unknowns (Q,); infinite for those in which r is linear while the others stay.
         evaluations: greatest number of calls of `products`.
-        tolerance: relative fall of the squared error at which the search ends.
+        tolerance: relative fall of the squared error at which the search ends; a tenth where the box limits the step.
 
     Source: Conn, Gould, Toint, Trust-Region Methods (2000), algorithm 6.1.1 with the infinity norm, section 7.8.
     """
@@ -115,14 +116,15 @@ def minimise_in_boxes(
         at = np.clip(q + step, lower, upper)
         there = products(at)
         fall = energy - float(there[-1, -1]) if np.all(np.isfinite(there)) else -np.inf
-        used = float(np.max(np.abs(step) / units))
+        used, before = float(np.max(np.abs(step) / units)), reach
         if fall < _POOR * expected:
             reach = _SMALLER * (used or reach)
         elif fall > _GOOD * expected and used > _AT_REACH * reach:
             reach *= _LARGER
         if fall > 0.0:
             q, square = at, there
-            if _POOR * expected < fall < tolerance * energy:
+            ends = tolerance * energy if used < _AT_REACH * before else _LIMITED * tolerance * energy
+            if _POOR * expected < fall < ends:
                 return q
         elif used < _LEAST_STEP:
             return q

@@ -164,6 +164,9 @@ class Problem:
             for c in self.effects
             for freedom in c.free
         ]
+        scales = np.array([*baseline.scale[self._active], *(f.scale for f, _ in self._freedoms)])
+        self._log = scales == 0.0
+        self._scale = np.where(self._log, 1.0, scales)
         self.lower = self.scaled(np.array([*baseline.lower[self._active], *(f.lower for f, _ in self._freedoms)]))
         self.roughness = np.zeros((len(baseline.roughness), self.size))  # rows (R, Q), as of the baseline
         if len(baseline.roughness):
@@ -199,19 +202,15 @@ class Problem:
 
     def scaled(self, values: Vec) -> Vec:
         """Unknowns q of parameter values."""
-        core = values[: self._z] / self.baseline.scale[self._active]
-        effects = [
-            v / f.scale if f.scale else np.log(v) for v, (f, _) in zip(values[self._z :], self._freedoms, strict=True)
-        ]
-        return np.array([*core, *effects])
+        q = values / self._scale
+        q[self._log] = np.log(q[self._log])
+        return q
 
     def plain(self, q: Vec) -> Vec:
         """Parameter values of unknowns q."""
-        core = q[: self._z] * self.baseline.scale[self._active]
-        effects = [
-            v * f.scale if f.scale else np.exp(v) for v, (f, _) in zip(q[self._z :], self._freedoms, strict=True)
-        ]
-        return np.array([*core, *effects])
+        values = q * self._scale
+        values[self._log] = np.exp(values[self._log])
+        return values
 
     def retuned(self, q: Vec) -> Vec:
         """Baseline unknowns z (Z,) at unknowns q."""
@@ -273,7 +272,7 @@ class Problem:
         """Angle minus measurement where each run counts (C,); terms of a trial are estimated on its other blocks."""
         errors = []
         for together in RunsTogether.groups(runs):
-            theta, both = self._pass(q, together)
+            theta, both = self._pass(q, together, self.terms.width >= 0)
             for run, at in together.each():
                 scored = both[at][run.scored]
                 error = np.ascontiguousarray(scored[:, -1])  # a view would keep all derivatives
@@ -303,9 +302,10 @@ class Problem:
         """Run with the start estimated at unknowns q, where it begins in motion."""
         return run.begun(self._staged.rollouts(run.dt_s, self._values(q)[0]), box, self.chain.rest_samples)
 
-    def _pass(self, q: Vec, together: RunsTogether) -> tuple[Vec, Vec]:
-        """Angles (T,), their derivative and, in the last column, their error (T, Q + 1) over all samples."""
+    def _pass(self, q: Vec, together: RunsTogether, derivatives: bool = True) -> tuple[Vec, Vec]:
+        """Angles (T,), their derivative, if asked, and, in the last column, their error (T, Q + 1) over all samples."""
         p, slope = self._values(q)
+        slope = slope if derivatives else slope[:, :0]
         more = _STARTS * any(run.lead for run in together.runs)
         seeds = np.column_stack([np.zeros((p.size, more)), slope, np.zeros(p.size)])
         state, moving = self._start(together, p, seeds)

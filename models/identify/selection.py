@@ -41,6 +41,7 @@ class SelectionSettings:
             remains replace `least_share` and `most_share`: a third cause may leave no doubt and still be small.
         generic_share: share of all that remains, less a faulty sensor's noise, that a generic effect next to others
             has to explain: what the wrong forms of these leave looks like one. At 0.64 the RMSE falls to 0.6.
+        generic_sure: the same, from which a clear fall leaves no doubt, and `sure_share` is enough: the RMSE halves.
         drift_errors: by so many standard errors a drift beside shifts of trials needs no share of the whole error.
         recurs: by this share of the mean fall the median trial has to gain from what each trial has of its own.
         everywhere: the share of every trial's error that shifts have to explain where the median trial gains less.
@@ -67,6 +68,7 @@ class SelectionSettings:
     clear_share: float = 0.1
     clear_most: float = 0.3
     generic_share: float = 0.64
+    generic_sure: float = 0.75
     drift_errors: float = 3.0
     recurs: float = 0.25
     everywhere: float = 0.5
@@ -103,8 +105,9 @@ class _Judged:
         """Retuned simulator without causes."""
         return self.tried[frozenset()]
 
-    def additions(self, base: Hypothesis) -> Sequence[Hypothesis]:
-        """Base with one more effect each, the most promising first."""
+    def additions(self, base: Hypothesis, small: bool = False) -> Sequence[Hypothesis]:
+        """Base with one more effect each, the most promising first; `small`: at least those that may explain little."""
+        del small
         size = len(base.effects) + 1
         return [j.hypothesis for names, j in self.tried.items() if len(names) == size and base.effects < names]
 
@@ -154,7 +157,11 @@ class _Search:
         return current
 
     def _best_addition(self, current: HeldOutErrors) -> HeldOutErrors | None:
-        judged = self._trials.all_judged(self._trials.additions(current.hypothesis))
+        remaining, explained = _without_best_trial(current) - self._floor, bool(current.hypothesis.effects)
+        if explained and remaining <= self._settings.form_share * self._floor:
+            return None  # not even a cause that explains all of it would be added
+        small = explained and remaining <= self._settings.sure_share * (self._baseline_mse - self._floor)
+        judged = self._trials.all_judged(self._trials.additions(current.hypothesis, small))
         worthy = [j for j in judged if self._worth_adding(current, j)]
         if not worthy:
             return None
@@ -172,7 +179,11 @@ class _Search:
         remaining = before.mse - self._floor
         most = settings.clear_most if clear else settings.most_share
         imitates = self._strict and bool(before.hypothesis.effects) and any(EFFECTS[name].generic for name in new)
-        sure = not imitates and fall > settings.sure_errors * error and useful > most * remaining
+        explainable = before.mse - self._faults
+        if imitates:
+            sure = clear and useful > settings.generic_sure * explainable
+        else:
+            sure = fall > settings.sure_errors * error and useful > most * remaining
         whole = (settings.sure_share if sure else settings.gap_share) * (self._baseline_mse - self._floor)
         within = new == {"drift"} and "trial_shift" in before.hypothesis.effects
         if within and fall > settings.drift_errors * error:
@@ -184,7 +195,7 @@ class _Search:
         if new & OF_SINGLE_TRIALS and not _recurs(before, after, new, settings):
             return False
         least = max(share * remaining, whole, settings.form_share * self._floor)
-        least = max(least, settings.generic_share * (before.mse - self._faults)) if imitates else least
+        least = max(least, settings.generic_share * explainable) if imitates else least
         return sureness(before, after) > settings.standard_errors and useful > least
 
     def _dropped(self, current: HeldOutErrors) -> HeldOutErrors:
@@ -257,7 +268,7 @@ class _Fits(_Judged):
         super().__init__({})
         self._validation, self._candidates, self._settings = validation, tuple(candidates), settings
         self._without, self._progress, self._blocks = without, progress, 0.0
-        self._added: dict[Hypothesis, list[Hypothesis]] = {}
+        self._added: dict[tuple[Hypothesis, bool], list[Hypothesis]] = {}
 
     def baseline(self) -> HeldOutErrors:
         retuned = self.judged(self._validation.retuned())
@@ -285,17 +296,22 @@ class _Fits(_Judged):
             known[hypothesis] = judged
         return [known[hypothesis] for hypothesis in hypotheses]
 
-    def additions(self, base: Hypothesis) -> list[Hypothesis]:
-        """Best variant of every effect that is not yet in the base, the most promising first."""
-        if base not in self._added:
-            self._added[base] = self._fitted_additions(base)
-        return self._added[base]
+    def additions(self, base: Hypothesis, small: bool = False) -> list[Hypothesis]:
+        """Best variant of every effect that is not yet in the base and may be worth adding, the most promising first.
 
-    def _fitted_additions(self, base: Hypothesis) -> list[Hypothesis]:
+        Args:
+            small: only of effects that need no share of the whole error (`_Search._worth_adding`).
+        """
+        if (base, small) not in self._added:
+            self._added[base, small] = self._fitted_additions(base, small)
+        return self._added[base, small]
+
+    def _fitted_additions(self, base: Hypothesis, small: bool) -> list[Hypothesis]:
         best: dict[str, Hypothesis] = {}
         predicted: dict[str, float] = {}
         reached: dict[Candidate, float] = {}
-        tried = [candidate for candidate in self._candidates if candidate.effect not in base.effects]
+        exempt = {"drift"} if "trial_shift" in base.effects else set[str]()
+        tried = [c for c in self._candidates if c.effect not in base.effects and (not small or c.effect in exempt)]
         fits = side_by_side(lambda candidate: self._validation.with_one_more(base, candidate), tried)
         for k, (candidate, made) in enumerate(zip(tried, fits, strict=True)):
             self._progress(k / len(tried), candidate.label)
@@ -304,13 +320,26 @@ class _Fits(_Judged):
                 best[candidate.effect], predicted[candidate.effect] = made, reached[candidate]
         if not base.effects:
             self._candidates = _favourites(reached, self._settings.variants)
-        for terms in self._terms(base):
+        for terms in self._terms(base, small):
             made = self._validation.with_causes(base.problem.effects, terms, base.z, [base.values])
             name = next(name for name in terms.names if name not in base.problem.terms.names)
             if name not in best or made.mse < self._settings.width_share * best[name].mse:
                 best[name] = made
-        order = sorted(best.values(), key=lambda h: h.mse)
-        return order[: self._settings.judged]
+        order = sorted(best.values(), key=lambda h: h.mse)[: self._settings.judged]
+        return [h for h in side_by_side(self._validation.finished, order) if self._may_be_worth(base, h)]
+
+    def _may_be_worth(self, base: Hypothesis, made: Hypothesis) -> bool:
+        """Whether held-out trials could speak for an addition, of which they leave no less than the fit to all trials.
+
+            E(q_k) >= E(q),   E_-k(q_k) <= E_-k(q),   so E_k(q_k) >= E_k(q)
+
+        with q fitted to all runs, q_k to all but fold k. An addition has to explain `clear_share` of what remains and
+        `form_share` of the floor: half of the lesser one is a share of their sum.
+        """
+        if made.problem.terms.frequency_hz and not base.problem.terms.frequency_hz:
+            return True
+        least = 0.5 * min(self._settings.clear_share, self._settings.form_share)
+        return not base.effects or made.mse < (1 - least) * self.tried[base.effects].mse
 
     def _expected(self, free: int) -> float:
         """Factor (B + Q) / (B - Q) from training to other trials (Akaike, Ann. Inst. Stat. Math. 21, 1969)."""
@@ -321,9 +350,9 @@ class _Fits(_Judged):
         """Whether there are several trials: folds of one trial share its samples and have no shift between trials."""
         return len({id(run.command) for run in self._validation.runs}) > 1
 
-    def _terms(self, base: Hypothesis) -> list[TrialTerms]:
+    def _terms(self, base: Hypothesis, small: bool) -> list[TrialTerms]:
         terms, made = base.problem.terms, []
-        if not terms.shift and "trial_shift" not in self._without and self._several_trials():
+        if not small and not terms.shift and "trial_shift" not in self._without and self._several_trials():
             width = self._validation.baseline.width
             made.append(replace(terms, shift=True))
             made += [replace(terms, shift=True, width=width)] if width >= 0 else []
@@ -348,6 +377,15 @@ def _favourites(reached: Mapping[Candidate, float], most: int) -> tuple[Candidat
         reached_by_effect = sorted((c for c in reached if c.effect == effect), key=lambda c: reached[c])
         kept += reached_by_effect[:most]
     return tuple(kept)
+
+
+def _without_best_trial(judged: HeldOutErrors) -> float:
+    """Mean square error of all trials but the best one [deg^2], as a resample of the trials may have it."""
+    energy, samples = (np.bincount(judged.run, values) for values in (judged.energy, judged.samples))
+    if np.count_nonzero(samples) < 2:
+        return judged.mse
+    best = int(np.argmin(np.divide(energy, samples, out=np.full(samples.size, np.inf), where=samples > 0)))
+    return float((energy.sum() - energy[best]) / (samples.sum() - samples[best]))
 
 
 def _exceeds(gained: tuple[float, float]) -> bool:

@@ -56,12 +56,12 @@ def timing_rivals(
     def fit(candidate: Candidate) -> Hypothesis:
         effects = (*(c for c, _ in kept), candidate)
         starts = [[*(v for _, v in kept), start] for start in (candidate.starts[0], _late(candidate, late_s))]
-        return validation.with_causes(effects, chosen.problem.terms, others.z, starts)
+        return validation.with_causes(effects, chosen.problem.terms, others.z, starts, validation.search_tolerance)
 
     floor = floor_mse, form_share
 
     def compared(form: tuple[Candidate, Hypothesis]) -> tuple[Hypothesis, InParts]:
-        candidate, h = form
+        candidate, h = form[0], validation.finished(form[1])
         return h, InParts(_held_out(validation, h), _quick(validation, h, white), len(candidate.free), *floor)
 
     tried = [candidate for candidate in candidates if candidate.effect in TIMING and candidate.free]

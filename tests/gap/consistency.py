@@ -21,7 +21,7 @@ _ROUNDED = 1e-9
 
 def contradictions(data: ReportData) -> list[str]:
     """Everything in a diagnosis and its page that cannot stand beside something else in it."""
-    return [*_in_probabilities(data.diagnosis), *_in_sizes(data.diagnosis), *_in_words(data)]
+    return [*_in_probabilities(data.diagnosis), *_in_sizes(data.diagnosis), *_in_replay(data), *_in_words(data)]
 
 
 def _in_probabilities(d: Diagnosis) -> Iterator[str]:
@@ -52,6 +52,20 @@ def _in_sizes(d: Diagnosis) -> Iterator[str]:
         yield "a fall of the tracking error is foretold with effects that are not to be relied on"
 
 
+def _in_replay(data: ReportData) -> Iterator[str]:
+    d, said = data.diagnosis, " ".join(next_actions(data))
+    if (d.simulator == "stand_in") != (d.stand_in_rmse_deg is not None):
+        yield f"the simulator is {d.simulator}, and its stand-in's error is {d.stand_in_rmse_deg}"
+    if d.confirmed and d.confirmed_rmse_deg is None:
+        yield "shares are confirmed without a replay"
+    if strange := set(d.confirmed) - {effect.name for effect in d.effects}:
+        yield f"confirmed, and not named: {sorted(strange)}"
+    for name, one in d.confirmed.items():
+        refuted = in_words(name) in said.partition("does not confirm")[2].partition(".")[0]
+        if refuted != (one.ci90[0] <= 0) and not d.relies_on_its_split:
+            yield f"{name} closes {one.ci90[0]:.2f} or more in the user's simulator, and the advice is: {said}"
+
+
 def _in_words(data: ReportData) -> Iterator[str]:
     d = data.diagnosis
     page = [headline(d), d.reason, closed_sentence(d), tracking_sentence(d)]
@@ -62,7 +76,7 @@ def _in_words(data: ReportData) -> Iterator[str]:
         if not headline(d).lower().startswith(in_words(led.name)):
             yield f"the headline does not begin with {led.name}: {headline(d)}"
     distrusted = "Do not rely" in text or "Do not take" in text or "Do not use" in text
-    for trust in ("is expected to fall", "is expected to rise", "Use sim.fixed.yaml"):
+    for trust in ("is expected to fall", "is expected to rise", "Use sim.fixed.yaml", "into your simulator"):
         if distrusted and trust in text:
             yield f"do not rely on it, and '{trust}'"
     if "Keep the simulator as given" in text and "Use sim.fixed.yaml" in text:

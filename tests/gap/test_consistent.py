@@ -16,7 +16,7 @@ from hystmpc.gap.decide.attribution import Attribution, as_given_if_better, floo
 from hystmpc.gap.decide.gap_closed import measured_blocks
 from hystmpc.gap.decide.verdict import VERDICTS as CASES
 from hystmpc.gap.decide.verdict import VerdictDecision
-from hystmpc.gap.diagnosis import FLIPS, Diagnosis, Gap, IdentifiedEffect, Stability, TrackingGap
+from hystmpc.gap.diagnosis import FLIPS, ConfirmedShare, Diagnosis, Gap, IdentifiedEffect, Stability, TrackingGap
 from hystmpc.gap.expected_tracking import with_tracking
 from hystmpc.gap.logs.preparation import PreparedTrials, prepare
 from hystmpc.gap.report.report_data import ReportData
@@ -33,7 +33,7 @@ from .engine_examples import moves, trials_of
 from .report_examples import report_data
 
 LIBRARY = list(diagnosable())
-SHARE, SIZE = st.floats(0.0, 1.0), st.floats(1e-4, 50.0)
+SHARE, SIZE, LOWEST = st.floats(0.0, 1.0), st.floats(1e-4, 50.0), st.floats(-0.5, 1.0)
 
 
 @st.composite
@@ -76,6 +76,10 @@ def diagnoses(draw: st.DrawFn) -> ReportData:
         stability=Stability(stable, 20),
         next_motion=None,
     )
+    if draw(st.booleans()):
+        shares = {e.name: ConfirmedShare(low + 0.1, (low, low + 0.2)) for e in effects if (low := draw(LOWEST)) < 0.9}
+        played = {"confirmed": shares, "confirmed_rmse_deg": with_effects} if draw(st.booleans()) else {}
+        diagnosis = replace(diagnosis, simulator="stand_in", stand_in_rmse_deg=0.2, replay=("a.csv",), **played)
     told = TrackingGap(1.2, 0.4, (1.1, 1.3), (0.35, 0.45))
     unsure = diagnosis.relies_on_its_split or verdict in ("unknown", "too_little")
     return replace(plain, diagnosis=replace(diagnosis, tracking=TrackingGap(why_not="why") if unsure else told))
@@ -98,6 +102,9 @@ def test_contradictions_are_seen() -> None:
         "foretold": replace(plain, stability=Stability(0.3, 20), tracking=told),
         "worse than as given": replace(plain, gap=replace(plain.gap, nominal_rmse_deg=1.91, retuned_rmse_deg=2.01)),
         "floor is above": replace(plain, gap=replace(plain.gap, floor_rmse_deg=0.447, retuned_rmse_deg=0.408)),
+        "confirmed, and not named": replace(plain, confirmed={"lag": ConfirmedShare(0.5, (0.4, 0.6))}),
+        "without a replay": replace(plain, confirmed={effect.name: ConfirmedShare(0.5, (0.4, 0.6))}),
+        "its stand-in's error": replace(plain, simulator="stand_in"),
         "nothing is missing": replace(plain, verdict="none", effects=(), ranking=(("contact", 0.5),)),
     }
     for said, diagnosis in seen.items():

@@ -159,7 +159,8 @@ def test_the_result_has_the_fixed_form() -> None:
     assert [type(v) for v in effect["closed_ci90"]] == [float, float]
     assert all(isinstance(v, float) for v in effect["parameters"].values())
     gap = read["gap"]
-    assert set(gap) == GAP_NUMBERS | {"floor_kind", "final_trials", "closed_ci90", "repeats_rmse_deg"}
+    others = {"floor_kind", "final_trials", "closed_ci90", "repeats_rmse_deg", "model_form_rmse_deg"}
+    assert set(gap) == GAP_NUMBERS | others
     assert all(isinstance(gap[name], float) for name in GAP_NUMBERS)
     assert gap["floor_kind"] in ("repeats", "noise")
     assert gap["closed_share"] + gap["unexplained_share"] == pytest.approx(1.0)

@@ -37,6 +37,15 @@ ANEW = Retuning(2.0, reidentified_share=0.9)
 WEAK = FinalFacts(closed_share=0.5, residual_ratio=3.0)
 
 
+@given(st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+def test_what_closes_everywhere_is_between_what_closes_in_parts(left: float, final_left: float, part: float) -> None:
+    """Of one structural error before, part of the samples being of the final trials."""
+    facts = replace(EXPLAINED, chosen_mse=0.01 + 0.99 * left)
+    shares = 1 - left, 1 - final_left
+    share = facts.closed_everywhere((1.0, 0.01 + 0.99 * final_left), part)
+    assert min(shares) - 1e-9 <= share <= max(shares) + 1e-9
+
+
 @pytest.mark.parametrize(
     ("facts", "case", "verdict"),
     [
@@ -53,6 +62,10 @@ WEAK = FinalFacts(closed_share=0.5, residual_ratio=3.0)
             "unknown",
         ),
         (replace(EXPLAINED, final=FinalFacts(0.5, 2.4)), "explained", "named"),
+        # final trials that hold little of what the others show: all together decide, and the final ones may not object
+        (replace(EXPLAINED, final=replace(WEAK, everywhere=0.6)), "explained", "named"),
+        (replace(EXPLAINED, final=replace(WEAK, everywhere=0.5)), "not_confirmed", "unknown"),
+        (replace(EXPLAINED, final=FinalFacts(0.3, 3.0, everywhere=0.9)), "not_confirmed", "unknown"),
         # within the reach of a poor simulator, but they close too little
         (replace(EXPLAINED, final=FinalFacts(0.3, 1.9)), "not_confirmed", "unknown"),
         (replace(EXPLAINED, final=WEAK, sensor=True), "explained", "named"),
@@ -111,10 +124,19 @@ WEAK = FinalFacts(closed_share=0.5, residual_ratio=3.0)
             "none",
         ),
         (replace(NOTHING, retuning=Retuning(9.0, 0.4, 0.5)), "no_effect", "unknown"),
+        # where no effect explains it, seven times the form error that has grown with the loop, itself at most sevenfold
+        (replace(NOTHING, form_mse=0.06, retuning=Retuning(9.0, 0.15)), "reshaped", "retuned"),
+        (replace(OPEN, form_mse=0.06, retuning=Retuning(9.0, 0.15)), "reshaped", "retuned"),
+        (replace(NOTHING, form_mse=0.06, retuning=Retuning(9.0, 0.14)), "no_effect", "unknown"),
+        (replace(NOTHING, form_mse=0.02, retuning=Retuning(9.0, 0.4)), "no_effect", "unknown"),
+        (replace(EXPLAINED, form_mse=0.06, retuning=Retuning(9.0, 0.15)), "explained", "named"),
         (replace(EXPLAINED, retuning=GROWN), "explained", "named"),
         (replace(EXPLAINED, effects=frozenset({"asymmetry"}), retuning=GROWN), "reshaped", "retuned"),
         (replace(EXPLAINED, effects=frozenset({"asymmetry"}), retuning=GROWN, jumps=True), "explained", "named"),
         (replace(NOTHING, jumps=True, retuning=GROWN), "jumps", "named"),
+        # what a generic effect could replace is as vague as that
+        (replace(EXPLAINED, ambiguity=(("lag", "asymmetry"),), retuning=GROWN), "reshaped", "retuned"),
+        (replace(AMBIGUOUS, retuning=GROWN), "ambiguous", "one_of"),
         # plays of the core explain more than the effects
         (replace(EXPLAINED, chosen_mse=0.5, retuning=GROWN), "reshaped", "retuned"),
         (replace(EXPLAINED, chosen_mse=0.5, retuning=GROWN, sensor=True), "explained", "named"),

@@ -83,6 +83,13 @@ def test_beside_another_cause_a_generic_one_has_to_explain_most_of_what_is_left(
     assert (name in found) == (0.6 - left > SETTINGS.generic_share * 0.6)
 
 
+@given(st.floats(0.02, 0.6), st.sampled_from(["asymmetry", "nonlinear_gain"]))
+def test_beside_a_large_cause_a_generic_one_has_to_halve_what_is_left(left: float, name: str) -> None:
+    """All of it is less than 8 % of the gap; three quarters of its energy are no form error of another cause."""
+    found = chosen(nothing=10.0, lag=0.6, **{f"lag__{name}": left})
+    assert (name in found) == (0.6 - left > SETTINGS.generic_sure * 0.6)
+
+
 def test_an_exchange_brings_no_generic_cause_that_could_not_have_been_added() -> None:
     errors = {"nothing": 8.0, "lag": 1.0, "contact": 4.0, "asymmetry": 4.0, "lag__contact": 0.5}
     assert chosen(**errors, lag__asymmetry=0.4) == {"lag", "contact"}
@@ -121,6 +128,9 @@ class Fitted:
     def with_one_more(self, base: Hypothesis, candidate: Any) -> Hypothesis:
         return self.with_causes((*base.problem.effects, candidate), None, None, None)
 
+    def finished(self, hypothesis: Hypothesis) -> Hypothesis:
+        return hypothesis
+
     def without(self, hypothesis: Hypothesis, dropped: set[str]) -> Hypothesis:
         effects = [c for c in hypothesis.problem.effects if c.effect not in dropped]
         known = self.with_causes(effects, None, None, None)
@@ -146,6 +156,21 @@ def test_what_a_cause_adds_is_fitted_again_only_where_the_rest_fits_better_than_
     assert found.chosen.hypothesis.effects == {"lag", "slack"}
     assert trials.judgements["lag"] == judgements
     assert trials.fits["lag+creep"] == judgements
+
+
+def test_what_could_not_be_added_is_neither_fitted_nor_judged() -> None:
+    """Of two causes 0.1 is left: less than a third one has to explain. What the fits do not need, trials do not."""
+    trials, library = Fitted(1.0), [Named(name) for name in ("lag", "slack", "creep")]
+    select(cast("Any", trials), cast("Any", library), SETTINGS, FLOOR, sorted(OF_SINGLE_TRIALS))
+    assert not any(name.count("+") == 2 for name in trials.fits)
+    assert trials.fits["lag+creep"]
+    assert not trials.judgements["creep+lag"]
+
+
+@given(st.floats(0.3, 9.0), st.floats(0.95, 1.5), st.sampled_from(["creep", "asymmetry", "trial_shift", "drift"]))
+def test_a_cause_that_leaves_nearly_all_is_not_added(before: float, left: float, name: str) -> None:
+    """The least that an addition has to explain: half of the lesser of two shares, `_Fits._may_be_worth`."""
+    assert chosen(nothing=10.0, lag=before, **{f"lag__{name}": left * before}) == {"lag"}
 
 
 def by_trial(names: tuple[str, ...], *mse: float) -> HeldOutErrors:

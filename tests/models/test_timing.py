@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.models.chain import Chain
+from hystmpc.models.effects.effect import Candidate
 from hystmpc.models.identify.cross_validation import CrossValidation, HeldOutErrors, Hypothesis, InParts
 from hystmpc.models.identify.problem import NO_TERMS
 from hystmpc.models.identify.runs import runs_of, whitened, whitening
@@ -50,6 +51,15 @@ def test_a_slow_error_does_not_hide_what_is_quick(operator: Operator, true: str)
     (false,) = TIMING - {true, "rate_dependence"}
     assert found[true][1].quick.sum() < 0.6 * found[false][1].quick.sum()
     assert found[true][1].held_out.sum() > 0.9 * found[false][1].held_out.sum()
+
+
+@pytest.mark.parametrize("candidate", [c for c in CANDIDATES["backlash"] if c.free], ids=lambda c: c.label)
+def test_held_out_trials_leave_no_less_than_the_fit_to_all(candidate: Candidate) -> None:
+    """What a selection need not judge is known from the fit: E_k(q_k) >= E_k(q) for optimal q and q_k."""
+    trials = trials_of(Chain(BACKLASH, (Servo(0.2, 0.7),)), [moves(k) for k in range(4)], 0.02)
+    validation = replace(CrossValidation(BASELINES["backlash"], runs_of(trials)), evaluations=40, tolerance=1e-7)
+    fitted = validation.finished(validation.with_one_more(validation.retuned(), candidate))
+    assert validation.judge(fitted).mse >= (1 - 1e-3) * fitted.mse
 
 
 def rival(
