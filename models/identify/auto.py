@@ -22,7 +22,7 @@ from .chain_fit import no_result
 from .cross_validation import Hypothesis, gain
 from .estimation_noise import estimation_noise
 from .least_squares import one_blas_thread
-from .parts import whole_delay
+from .parts import varies, whole_delay
 from .runs import Run, check_trial_set, command_range, ordered, runs_to_fit
 from .uncertainty import ParameterRow, parameter_rows
 
@@ -76,7 +76,8 @@ def identify_auto(
     sensors are often zeroed anew. The result does not depend on the order of the trials.
 
     Args:
-        trials: uniformly sampled at one rate, in one pair of units; ramps, sines, or steps of a few values alone.
+        trials: uniformly sampled at one rate, in one pair of units; ramps, sines, or steps of a few values alone. All
+            have the same measured inputs, on which friction, gain, offset and time constants may depend.
         skip_first_flexure: leave out each trial up to the first reversal of its command.
         progress: called with the completed share and the best error; KeyboardInterrupt keeps the best so far.
 
@@ -129,7 +130,7 @@ def _identified(
         parameters,
         search.offsets,
         decades.log_noise(noise),
-        tuple(_advice(parameters, trials[0].units, unsure)),
+        (*_advice(parameters, trials[0].units, unsure), *_on_inputs(trials, device)),
         decades,
         search.interrupted,
     )
@@ -239,12 +240,25 @@ def _advice(parameters: Sequence[ParameterRow], units: Units, unsure: Collection
             value = f"{row.value:.4g} {units.named(row.unit)}".rstrip()
             way = "more" if math.isinf(row.ci90[1]) else "less"
             yield f"{what}: {row.name} {value} is at the end of what was searched; it may be {way}"
-        motions = [MOTIONS_THAT_SEPARATE[kind] for kind in EFFECTS[owner].separated_by]
+        known = EFFECTS.get(owner)  # none of a dependence on an input
+        motions = [MOTIONS_THAT_SEPARATE[kind] for kind in (known.separated_by if known else ())]
         record = f"; record {' and '.join(motions)}" if motions else ""
         if owner in unsure:
             yield f"{what}: it lowers the error on trials left out, but may be another effect or none{record}"
         elif names := ", ".join(r.name for r in rows_of_effect if r.flat and not r.at_bound):
             yield f"{what}: {names} not identifiable from these logs{record}"
+
+
+def _on_inputs(trials: Sequence[Trial], device: Choice) -> Iterator[str]:
+    """Lines on inputs on which nothing depends in the end."""
+    used = {c.depends.input.name for form in device.forms.values() for c in form if c.depends is not None}
+    for name in trials[0].inputs:
+        values = np.concatenate([trial.inputs[name] for trial in trials])
+        if not varies(values):
+            seen = f"{values.min():.4g} to {values.max():.4g}"
+            yield f"{name}: not determined: the input hardly varies ({seen}); record trials over its range"
+        elif name not in used:
+            yield f"{name}: no dependence on it lowers the error on trials left out"
 
 
 _WIDENING = 1.5  # factor k on the intervals

@@ -22,7 +22,18 @@ from .baseline import FreeCoreBaseline
 from .chain_fit import no_result
 from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, fit_problem, gain, sureness
 from .least_squares import side_by_side
-from .parts import CoreForm, Form, core_forms, dead_time, device_parts, plain_of, split_delay, straight, whole_delay
+from .parts import (
+    CoreForm,
+    Form,
+    core_forms,
+    dead_time,
+    device_parts,
+    input_parts,
+    plain_of,
+    split_delay,
+    straight,
+    whole_delay,
+)
 from .problem import Problem, TrialTerms
 from .runs import Blocks, Run, angle_range, command_range
 
@@ -158,8 +169,10 @@ class AutoSearch:
     ) -> None:
         self.runs, self._progress = tuple(runs), progress
         scale = Scale.of(runs)
-        self._cores, self._parts = core_forms(trials, scale), device_parts(scale, dead_time(runs))
-        self._names = (*(part.name for part in self._parts), _CORE)
+        self._cores, inputs = core_forms(trials, scale), input_parts(trials, scale)
+        self._parts = (*device_parts(scale, dead_time(runs)), *inputs)
+        self._inputs = tuple(part.name for part in inputs)  # first of all: what they explain looks like anything else
+        self._names = (*self._inputs, *(p.name for p in self._parts if p not in inputs), _CORE)
         self._command = command_range(trials)
         self._box = search_box(self._command, angle_range(trials))
         self._done, self._planned, self._weight = 0.0, 1.0, 1.0  # in starting points of fits
@@ -181,7 +194,7 @@ class AutoSearch:
         except KeyboardInterrupt:
             raise no_result("the first core", interrupted=True) from None
         try:
-            parts = tuple(part.name for part in self._parts)
+            parts = self._names[:-1]
             open_forms = [a for name in (*self._names, *parts) for a in self._alternatives(name, present)]
             self._plan(open_forms, present, _ROUNDS)
             present = self._rounds(present, self._names)
@@ -263,6 +276,8 @@ class AutoSearch:
             return choice
         self.terms = replace(self.terms, trial_offset=False)
         plain = self._judged(choice.core, choice.forms, self._fitted(choice.core, choice.forms, choice))
+        for name in self._inputs:  # separate offsets have hidden one that depends on an input
+            plain = self._reselected(name, plain)
         if not worth(plain.judged, choice.judged):
             return plain
         self.terms = replace(self.terms, trial_offset=True)

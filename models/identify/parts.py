@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -21,6 +22,7 @@ from ..operators.operator import Operator
 from ..operators.prandtl_ishlinskii import PrandtlIshlinskii
 from ..operators.slow_changes import Creep
 from ..operators.static_curves import Line
+from ..scheduled import Dependence, MeasuredInput
 from .chain_kinds import falls, maxwell_slip_starts
 from .runs import Run
 
@@ -38,6 +40,11 @@ _QUICKEST_S = 0.1  # least relaxation time of the quick of two terms; a quicker 
 _BENT = "pi, 6 plays"  # core that is combined with a curve
 _SLACK = "slack/rounded"  # also before gradual plays: the bladder of a muscle has to meet its braid first
 _CURVES = ("nonlinear_gain/output", "asymmetry/output", "asymmetry/directional", _SLACK, "contact/output")
+_OF_CORE, _OF_DRIVE = ("friction", "gain", "offset"), ("time",)  # groups of parameters that may depend on an input
+_VARIES, _LEVEL = (
+    0.02,
+    0.05,
+)  # least range of an input as share of its size; distance of two of its levels, of its range
 _PLAYS, _FEW, _MANY = 5, 4, 8  # number of curved plays, and of pieces in their curves
 _RADII = (0.02, 0.45)  # narrowest and widest play, as shares of the command's range
 
@@ -79,6 +86,43 @@ def device_parts(scale: Scale, late_s: float = 0.0) -> tuple[Part, ...]:
     creeps = ((), *((form,) for form in _creeps(known["creep/command"], scale)))
     valve = replace(known["nonlinear_gain/command"], variant="before the drive", order=_FIRST)
     return Part("drive", drives), Part("creep", creeps), Part("valve", ((), (valve,)))
+
+
+def input_parts(trials: Sequence[Trial], scale: Scale) -> tuple[Part, ...]:
+    """For each measured input that varies, its effects on the core, and that on the time constants of the drive.
+
+    A dependence is affine, or bent at the reference where the trials show three values or more. The reference is the
+    median of the samples, or the middle of the range where that is one of its ends.
+    """
+    parts: list[Part] = []
+    for name in trials[0].inputs:
+        values = np.concatenate([trial.inputs[name] for trial in trials])
+        if not varies(values):
+            continue
+        low, high, middle = float(values.min()), float(values.max()), float(np.median(values))
+        apart = _LEVEL * (high - low)
+        middle = middle if low + apart < middle < high - apart else 0.5 * (low + high)
+        given = MeasuredInput(name, middle, low, high)
+        ways = (False, True) if np.unique(np.round((values - low) / apart)).size > 2 else (False,)
+        for part, groups in ((name, _OF_CORE), (f"{name}, drive", _OF_DRIVE)):
+            sets = [s for k in range(1, len(groups) + 1) for s in itertools.combinations(groups, k)]
+            forms = [tuple(_dependence(Dependence(given, g, bent), scale) for g in s) for bent in ways for s in sets]
+            parts.append(Part(part, ((), *forms)))
+    return tuple(parts)
+
+
+def varies(values: Vec) -> bool:
+    """Whether a measured input varies enough for a dependence on it."""
+    return float(np.ptp(values)) > _VARIES * float(np.max(np.abs(values)))
+
+
+def _dependence(depends: Dependence, scale: Scale) -> Candidate:
+    given = depends.input
+    usual = (0.05 * scale.angle_span if depends.group == "offset" else 0.2) / (given.upper - given.lower)
+    pairs = zip(depends.names, depends.bounds, strict=True)
+    free = tuple(Freedom(name, low, high, usual) for name, (low, high) in pairs)
+    way, none = "bent" if depends.bent else "affine", (0.0,) * len(free)
+    return Candidate(f"{depends.group}_by_{given.name}", way, "command", 0, (), free, (none,), depends=depends)
 
 
 def _forms_of(scale: Scale, *effects: str) -> Mapping[str, Candidate]:
