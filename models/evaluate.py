@@ -102,6 +102,8 @@ def free_run(
     whole = np.concatenate([start.approach, commands])
     first, early = {name: float(z[0]) for name, z in inputs.items()}, len(start.approach)
     along = {name: np.pad(z, (early, 0), mode="edge") for name, z in inputs.items()}
+    if not inputs:
+        return model.run_on(model.at_rest(start.angle, start.command)[None], whole[None])[0][0, early:]
     return model.run_on(model.at_rest(start.angle, start.command, first)[None], whole[None], along)[0][0, early:]
 
 
@@ -112,6 +114,8 @@ def started(model: LoadedModel, trial: Trial) -> TrialStart:
     inputs = inputs_for(model, trial)
 
     def runs(commands: Vec, angles: Vec, plans: Vec) -> Vec:
+        if not inputs:
+            return model.run_on(model.resting(commands, angles), plans)[0]
         first, early = {name: float(z[0]) for name, z in inputs.items()}, plans.shape[1] - start.lead
         along = {name: np.r_[np.full(early, z[0]), z[: start.lead]] for name, z in inputs.items()}
         return model.run_on(model.resting(commands, angles, first), plans, along)[0]

@@ -3,8 +3,8 @@
     p_eff = p + f(z) c(p),   f(z) = below min(z - z_0, 0) + above max(z - z_0, 0),   z within lower ... upper
 
 c(p) = p for friction, gain and times, so that p_eff = p (1 + f(z)); c = 1 for an offset. An affine dependence has one
-slope, below = above; a bent one has two. Slopes are so bounded that 1 + f stays within 1/20 ... 20 over the range of the
-input. Beyond that range the nearest value of the range counts: no parameter leaves its bounds at any z.
+slope, below = above; a bent one has two. Their bounds keep 1 + f within 1/20 ... 20 over the range of the input. Beyond
+that range the nearest value of the range counts: no parameter leaves its bounds at any z.
 
 The present value of the input is a state, which holds until the device measures another one. So a model with inputs is
 a model like any other: for one command, from a state. Where the input is known over time, as in a log, it is given as a
@@ -35,7 +35,7 @@ _NAMES = {
 _UNITS = {"gain": ("deg/cmd",), "offset": ("deg", "cmd"), "time": ("s",)}
 
 GROUPS = tuple(_NAMES)
-"""Groups of parameters that may depend on an input: widths and forces of friction, stiffness, offset, time constants."""
+"""Groups of parameters that may depend on an input: friction (widths, forces), stiffness, offset, time constants."""
 
 _MOST = 20.0  # greatest factor on a parameter, and one over the least
 _FAR = 1e12

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -129,6 +129,7 @@ def fit(
     constancy_weight: float | None = None,
     seed: int = 1,
     limits: CommandLimits | DeviceLimits | None = None,
+    inputs: Iterable[str] = (),
     test: Logs = (),
     report: Path | str | None = None,
     figures: Path | str | None = None,
@@ -158,6 +159,7 @@ def fit(
         constancy_weight: weight of a network's constant-in, constant-out term; S2 has 1e-4.
         seed: seed of everything drawn at random.
         limits: command limits of the device; those of the trials if left out, also for a part that is None.
+        inputs: with auto: measured input of the logs on which friction, gain, offset and time constants may depend.
         test: log or folder to score on, which the fit does not see.
         report: write one page with tables and figures here, .html.
         figures: new folder for every figure of the report: SVG, PDF, and its data as CSV.
@@ -193,7 +195,10 @@ def fit(
         _device_limits(limits),
     )
     chosen.check([], request)
-    recorded, held = read(logs, say), read(tests, say) if tests else []
+    names, recorded, held = tuple(inputs), read(logs, say), read(tests, say) if tests else []
+    if say is not None and (unused := sorted({n for t in recorded for n in t.inputs} - set(names))):
+        say(f"note: the logs name the input {unused[0]}; `fit auto --input {unused[0]}` lets the model depend on it")
+    recorded, held = ([trial.with_inputs(names) for trial in some] for some in (recorded, held))
     _warn_of_limits([*recorded, *held], request.limits.command, say)
     used = tuple(trial.swapped() if inverse else trial for trial in recorded)
     done = _identify(chosen, used, request, progress, say)

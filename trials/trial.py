@@ -182,7 +182,7 @@ class Trial:
         return replace(self, **{**signals, **changed, **fields})
 
     def with_inputs(self, names: Sequence[str]) -> Trial:
-        """Return the trial with exactly these measured inputs, in this order; a channel becomes an input.
+        """Return the trial with exactly these measured inputs, in this order; they and channels change places.
 
         Raises:
             LogError: if the log has no such signal, or one of its values is not finite.
@@ -193,7 +193,7 @@ class Trial:
                 raise LogError(
                     f"{self.source}: no input {name!r}, {did_you_mean(name, known)}; a mapping file names it"
                 )
-        channels = {name: values for name, values in self.channels.items() if name not in names}
+        channels = {name: values for name, values in known.items() if name not in names}
         return replace(self, channels=channels, inputs={name: known[name] for name in names})
 
     def plot(self) -> Figure:

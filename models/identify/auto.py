@@ -180,7 +180,7 @@ def _with_meaning(
 
     An effect that stays is of use for predictions. Its interval says that it may be another one, or none.
     """
-    lost, required, searched = set[str](), set[tuple[str, str]](), device
+    lost, required, searched = set[str](), device.hidden, device
     while nothing := without_meaning(device, rows, command, required):
         part, effect = nothing
         reduced = reduced_by(device, part, effect, {*lost, part})
@@ -348,10 +348,10 @@ def without_meaning(
 
 def _perhaps_none(choice: Choice, parameters: Sequence[ParameterRow], command: Range) -> frozenset[str]:
     """Effects whose intervals include their neutral value."""
-    seen = set[tuple[str, str]]()
+    seen = choice.hidden
     while nothing := without_meaning(choice, parameters, command, seen):
         seen.add(nothing)
-    return frozenset(effect for _, effect in seen)
+    return frozenset(effect for _, effect in seen - choice.hidden)
 
 
 def _may_do_nothing(numbers: Sequence[tuple[ParameterRow, Freedom]], command: Range) -> bool:

@@ -124,6 +124,13 @@ class Choice:
         return self.judged.hypothesis
 
     @property
+    def hidden(self) -> set[tuple[str, str]]:
+        """Parts and effects of which held-out errors say nothing: offsets by an input beside those of trials."""
+        if not self.hypothesis.problem.terms.trial_offset:
+            return set()
+        return {(name, c.effect) for name, form in self.forms.items() for c in _offsets(form)}
+
+    @property
     def rmse_deg(self) -> float:
         """Root mean square error on held-out trials [deg]."""
         return math.sqrt(self.judged.mse)
@@ -259,6 +266,7 @@ class AutoSearch:
             if other.hypothesis.problem.terms == self.terms
             and other.size <= choice.size
             and parts.issuperset(_part_labels(other.forms))
+            and choice.hidden <= other.hidden
             and (not other.core.curve or other.core.label == choice.core.label)
         ]
         best = min([choice, *simpler], key=lambda other: other.judged.mse)
@@ -268,7 +276,9 @@ class AutoSearch:
         if name == _CORE:
             return [(core, present.forms) for core in self._cores]
         forms = next(part.forms for part in self._parts if part.name == name)
-        return [(present.core, present.forms | {name: form}) for form in forms]
+        if kept := _offsets(present.forms[name]) if self.offsets else ():
+            forms = tuple((*(c for c in form if c not in _offsets(form)), *kept) for form in forms)
+        return [(present.core, present.forms | {name: form}) for form in dict.fromkeys(forms)]
 
     def _with_one_zero(self, choice: Choice) -> Choice:
         """Device with one offset for all trials, where separate offsets do not lower the held-out error."""
@@ -281,7 +291,18 @@ class AutoSearch:
         if not worth(plain.judged, choice.judged):
             return plain
         self.terms = replace(self.terms, trial_offset=True)
-        return choice
+        return self._with_offsets_of(plain, choice)
+
+    def _with_offsets_of(self, plain: Choice, choice: Choice) -> Choice:
+        """Device of separate offsets whose mean depends on an input, where one offset for all trials does."""
+        values, forms = _values(plain.hypothesis), dict(choice.forms)
+        for name in self._inputs:
+            known = {c.effect for c in forms[name]}
+            more = (c for c in _offsets(plain.forms[name]) if c.effect not in known)
+            forms[name] += tuple(replace(c, starts=(tuple(values[c.label]),)) for c in more)
+        if forms == choice.forms:
+            return choice
+        return self._judged(choice.core, forms, self._fitted(choice.core, forms, choice))
 
     def refit_at_full_rate(self, choice: Choice) -> Choice:
         """Device of another rate refitted to these trials; its drive is selected from more samples."""
@@ -315,7 +336,8 @@ class AutoSearch:
         simpler = [f for f in forms if {c.effect for c in f} == whole and free_numbers(f) < free_numbers(present)]
         without = [f for f in forms if set(_names(f)) == rest]
         open_forms: list[Form] = [*without, *(simpler if len(_names(present)) == 1 else [])]
-        left = choice.forms | {part: max(open_forms, key=free_numbers)}
+        others = tuple(c for c in present if c.effect != effect)
+        left = choice.forms | {part: max(open_forms, key=free_numbers, default=others)}
         return self._polished(self._judged(choice.core, left, self._fitted(choice.core, left, choice)))
 
     def reselect_other_parts(self, choice: Choice, lost: Collection[str]) -> Choice:
@@ -343,8 +365,8 @@ class AutoSearch:
         """Device refitted without each part, None where there is no such part; a line replaces the core."""
         reduced: dict[str, Choice | None] = {}
         for name, form in choice.forms.items():
-            forms = {**choice.forms, name: ()}
-            fit = self._fitted(choice.core, forms, choice) if form else None
+            forms = {**choice.forms, name: _offsets(form) if self.offsets else ()}
+            fit = self._fitted(choice.core, forms, choice) if form != forms[name] else None
             reduced[name] = None if fit is None else self._judged(choice.core, forms, fit)
         plain, reduced[_CORE] = self._cores[0], None
         if choice.core.label != plain.label:
@@ -501,6 +523,11 @@ def _points(core: CoreForm, forms: Mapping[str, Form], present: Choice) -> int:
         return _FROM_AFAR * len(core.starts)
     held = _labels(present.core, present.forms)
     return math.prod(len(c.starts) for form in forms.values() for c in form if c.label not in held)
+
+
+def _offsets(form: Form) -> Form:
+    """Offsets that depend on an input; those of single trials hide what they are for."""
+    return tuple(c for c in form if c.depends is not None and c.depends.group == "offset")
 
 
 def _names(form: Form) -> tuple[str, ...]:

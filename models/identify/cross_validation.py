@@ -126,6 +126,8 @@ class _ErrorProducts:
         if common:
             mean = np.mean(common, axis=0)
             square += _COMMON * self._samples * mean.T @ mean
+            if self._problem.offsets_by_inputs:  # one sample each: enough for what the trials have in common
+                square += np.sum([row.T @ row for row in common], axis=0)
         return square
 
     def _pull(self, square: Vec, q: Vec) -> Vec:

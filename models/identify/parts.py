@@ -95,6 +95,7 @@ def input_parts(trials: Sequence[Trial], scale: Scale) -> tuple[Part, ...]:
     median of the samples, or the middle of the range where that is one of its ends.
     """
     parts: list[Part] = []
+    command, angle = (np.concatenate([getattr(t, name) for t in trials]) for name in ("command", "angle"))
     for name in trials[0].inputs:
         values = np.concatenate([trial.inputs[name] for trial in trials])
         if not varies(values):
@@ -103,10 +104,13 @@ def input_parts(trials: Sequence[Trial], scale: Scale) -> tuple[Part, ...]:
         apart = _LEVEL * (high - low)
         middle = middle if low + apart < middle < high - apart else 0.5 * (low + high)
         given = MeasuredInput(name, middle, low, high)
+        columns = np.column_stack([values, command, np.ones(values.size)])
+        rise = float(np.linalg.lstsq(columns, angle, rcond=None)[0][0])
         ways = (False, True) if np.unique(np.round((values - low) / apart)).size > 2 else (False,)
         for part, groups in ((name, _OF_CORE), (f"{name}, drive", _OF_DRIVE)):
             sets = [s for k in range(1, len(groups) + 1) for s in itertools.combinations(groups, k)]
-            forms = [tuple(_dependence(Dependence(given, g, bent), scale) for g in s) for bent in ways for s in sets]
+            made = {(g, b): _dependence(Dependence(given, g, b), scale, rise) for g in groups for b in ways}
+            forms = [tuple(made[group, bent] for group in s) for bent in ways for s in sets]
             parts.append(Part(part, ((), *forms)))
     return tuple(parts)
 
@@ -116,13 +120,15 @@ def varies(values: Vec) -> bool:
     return float(np.ptp(values)) > _VARIES * float(np.max(np.abs(values)))
 
 
-def _dependence(depends: Dependence, scale: Scale) -> Candidate:
+def _dependence(depends: Dependence, scale: Scale, rise: float) -> Candidate:
+    """Candidate that starts from none; an offset from the rise of the output with the input."""
     given = depends.input
     usual = (0.05 * scale.angle_span if depends.group == "offset" else 0.2) / (given.upper - given.lower)
     pairs = zip(depends.names, depends.bounds, strict=True)
     free = tuple(Freedom(name, low, high, usual) for name, (low, high) in pairs)
-    way, none = "bent" if depends.bent else "affine", (0.0,) * len(free)
-    return Candidate(f"{depends.group}_by_{given.name}", way, "command", 0, (), free, (none,), depends=depends)
+    start = (rise if depends.group == "offset" else 0.0,) * len(free)
+    way = "bent" if depends.bent else "affine"
+    return Candidate(f"{depends.group}_by_{given.name}", way, "command", 0, (), free, (start,), depends=depends)
 
 
 def _forms_of(scale: Scale, *effects: str) -> Mapping[str, Candidate]:

@@ -148,6 +148,7 @@ class Problem:
             ),
             [c.depends for c in self.effects if c.depends is not None],
         )
+        self.offsets_by_inputs = any(c.depends is not None and c.depends.group == "offset" for c in self.effects)
         self._staged, self._given = StagedChain(self.chain), self.chain.values
         at, states = self._places()
         core = len(self.chain.before)
@@ -364,7 +365,7 @@ class Problem:
         return [c.effect for c in self.effects if c.variant == CORE]
 
     def _owned(self, c: Candidate, owners: Sequence[tuple[Candidate, int]]) -> Sequence[int]:
-        """Numbers of the operators with the parameters of a candidate: its operators, or any that depend on an input."""
+        """Numbers of the operators that may have a candidate's parameters: all for a dependence on an input."""
         return [k for other, k in owners if other is c] if c.depends is None else range(len(self.chain.operators))
 
     def _indices(self, name: str, operators: Sequence[int], at: Sequence[int]) -> list[int]:

@@ -93,6 +93,7 @@ class ModelKind(ABC):
         invertible: whether inverse maps can be identified.
         recurrent: whether its angle depends on more than the present command.
         rings: whether its angle oscillates after the command stops.
+        takes_inputs: whether parameters may depend on measured inputs.
     """
 
     name: str
@@ -103,6 +104,7 @@ class ModelKind(ABC):
     invertible: bool = True
     recurrent: bool = True
     rings: bool = False
+    takes_inputs: bool = False
 
     def usual_training(self, inverted: bool) -> str:
         """Default training."""
@@ -135,8 +137,11 @@ class ModelKind(ABC):
         """Refuse a request that this kind cannot fulfil, before the fit.
 
         Raises:
-            FitError: on an unknown training, or an inverse map of a kind that has none.
+            FitError: on an unknown training, an inverse map of a kind that has none, or measured inputs for a kind that
+                cannot depend on any.
         """
+        if not self.takes_inputs and any(trial.inputs for trial in trials):
+            raise FitError(f"{self.name}: got the input {next(iter(trials[0].inputs))}, expected none; `auto` takes it")
         if request.training not in self.trainings:
             raise FitError(
                 f"{self.name}: no training {request.training!r}, {did_you_mean(request.training, self.trainings)}"

@@ -65,6 +65,7 @@ class AutoKind(ModelKind):
     trainings = ("best",)
     readable = True
     invertible = False
+    takes_inputs = True
 
     def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
         self.check(trials, request)

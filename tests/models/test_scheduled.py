@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.models.chain import Chain, chain_from, chain_spec
-from hystmpc.models.contract.load import OnnxModel
 from hystmpc.models.evaluate import free_run
 from hystmpc.models.identify.free_run import StagedChain
+from hystmpc.models.load import load_model
 from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.operators.hysteresis import Backlash
 from hystmpc.models.operators.operator import Operator
@@ -118,7 +118,7 @@ def test_sensitivities_are_those_of_differences_while_the_inputs_change() -> Non
 def test_an_exported_model_measures_its_inputs(tmp_path: Path) -> None:
     model = ChainModel(simulator(CHAIN))
     export_simulator(model.simulator, tmp_path / "m.onnx")
-    opened = OnnxModel(tmp_path / "m.onnx")
+    opened = load_model(tmp_path / "m.onnx")
     assert [i.name for i in opened.inputs] == ["load_g", "pressure_bar"]
     np.testing.assert_allclose(
         free_run(opened, COMMANDS, 40.0, ALONG), free_run(model, COMMANDS, 40.0, ALONG), atol=1e-6
