@@ -115,13 +115,13 @@ class LoadedModel(ABC):
     @property
     def inputs(self) -> tuple[MeasuredInput, ...]:
         """Measured inputs on which the model depends; see `models.scheduled`."""
-        chain = self._rest.chain
+        chain = self._rest.chain if self.metadata.by_inputs else None
         return () if chain is None else chain.inputs
 
     @property
     def input_states(self) -> Mapping[str, tuple[int, ...]]:
         """Entries of the state that hold the present value of each input; writing it there is measuring it."""
-        chain = self._rest.chain
+        chain = self._rest.chain if self.metadata.by_inputs else None
         return {} if chain is None else chain.input_states
 
     def resting(self, commands: Vec, angles: Vec, inputs: Mapping[str, float] = NO_VALUES) -> Vec:
@@ -218,13 +218,16 @@ class Predictor(WithPart, ABC):
 
     dt: float
     command_range: tuple[float, float]  # trained range
+    inputs: tuple[MeasuredInput, ...] = ()  # measured inputs on which it depends
+    input_states: Mapping[str, tuple[int, ...]] = MappingProxyType({})  # entries of the state that hold each
     noise: NoiseModel | None = None  # None where the file has none
     model_sigma_deg: float = math.nan  # error without a sensor [deg]; not-a-number where unknown
 
     def _as(self, other: Predictor) -> None:
-        """Copy sample time, range and noise from another predictor."""
+        """Copy sample time, range, noise and inputs from another predictor, whose state comes first."""
         self.dt, self.command_range = other.dt, other.command_range
         self.noise, self.model_sigma_deg = other.noise, other.model_sigma_deg
+        self.inputs, self.input_states = other.inputs, other.input_states
 
     @property
     def state_size(self) -> int:
@@ -271,6 +274,8 @@ class ModelPredictor(Predictor):
         self.command_range = (metadata.trained_command.lower, metadata.trained_command.upper)
         self.noise, self.model_sigma_deg = metadata.noise, metadata.model_sigma_deg
         self._rest = RestRule(metadata, start)
+        if metadata.by_inputs and (chain := self._rest.chain) is not None:
+            self.inputs, self.input_states = chain.inputs, chain.input_states
 
     @property
     def rest_part(self) -> Struct | None:
