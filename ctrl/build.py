@@ -40,7 +40,7 @@ def build_controller(
     solve = _solution(settings, inverse, limits, predictor.dt)
     problem = problem_of(settings, predictor, inverse, limits, observer=observer, law=law, solve=solve)
     rest = known.initial if observer.has_model else None
-    inputs = known.input_states if observer.has_model else {}
+    inputs = dict(known.input_states) if observer.has_model else {}
     return GuardedController(problem, limits, observer, rest, law, solve, inputs)
 
 

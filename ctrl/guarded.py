@@ -139,6 +139,11 @@ class GuardedController(HoldsAddresses):
         return self._limits
 
     @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the measured inputs on which the model depends."""
+        return tuple(self._inputs)
+
+    @property
     def dt(self) -> float:
         """Sample time [s]."""
         return float(self.problem.fields["dt_s"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from functools import cached_property
-from typing import Any, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
@@ -15,7 +15,9 @@ from hystmpc.core.structs import Struct, constants, struct
 from hystmpc.trials.types import Vec
 
 from .model import Inverse, Predictor, kind_of
-from .scheduled import MeasuredInput
+
+if TYPE_CHECKING:
+    from .scheduled import MeasuredInput
 
 
 @final

@@ -303,11 +303,11 @@ def scheduled_from(operator: Operator, spec: Any, where: str) -> Scheduled:
             )
         given = MeasuredInput(str(name), *(float(block[key]) for key in _ENDS))
         for group in groups:
-            found = block[group] if isinstance(block[group], list) else [block[group]]
-            if len(found) > 2 or not found or not all(map(is_number, found)):
+            numbers = block[group] if isinstance(block[group], list) else [block[group]]
+            if len(numbers) > 2 or not numbers or not all(map(is_number, numbers)):
                 raise ModelError(f"{where}.depends_on.{name}.{group}: expected a slope, or two: below, above")
-            made.append(Dependence(given, str(group), len(found) == 2))
-            slopes += map(float, found)
+            made.append(Dependence(given, str(group), len(numbers) == 2))
+            slopes += map(float, numbers)
     try:
         return Scheduled.of(operator, made, slopes)
     except ModelError as error:

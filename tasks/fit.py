@@ -195,10 +195,7 @@ def fit(
         _device_limits(limits),
     )
     chosen.check([], request)
-    names, recorded, held = tuple(inputs), read(logs, say), read(tests, say) if tests else []
-    if say is not None and (unused := sorted({n for t in recorded for n in t.inputs} - set(names))):
-        say(f"note: the logs name the input {unused[0]}; `fit auto --input {unused[0]}` lets the model depend on it")
-    recorded, held = ([trial.with_inputs(names) for trial in some] for some in (recorded, held))
+    recorded, held = _with_inputs(read(logs, say), read(tests, say) if tests else [], tuple(inputs), say)
     _warn_of_limits([*recorded, *held], request.limits.command, say)
     used = tuple(trial.swapped() if inverse else trial for trial in recorded)
     done = _identify(chosen, used, request, progress, say)
@@ -208,6 +205,15 @@ def fit(
     sets = {which: part for which, part in ((SEEN, recorded), (UNSEEN, held)) if part}
     with figures_to(figures):
         return _scored(made, out, sets, skip_first_flexure, report, progress)
+
+
+def _with_inputs(
+    recorded: list[Trial], held: list[Trial], names: Sequence[str], say: Say | None
+) -> tuple[list[Trial], list[Trial]]:
+    """Trials with the inputs that are asked for; `say` gets a note on one that is not."""
+    if say is not None and (unused := sorted({name for trial in recorded for name in trial.inputs} - set(names))):
+        say(f"note: the logs name the input {unused[0]}; `fit auto --input {unused[0]}` lets the model depend on it")
+    return [trial.with_inputs(names) for trial in recorded], [trial.with_inputs(names) for trial in held]
 
 
 def _scored(

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hystmpc.models.model import Predictor
-from hystmpc.models.scheduled import MeasuredInput
 from hystmpc.trajectories.motion import Kinematics
 from hystmpc.trials.brief import brief, in_brief
 from hystmpc.trials.errors import ControllerError, did_you_mean, shown
@@ -22,6 +21,8 @@ from ..estimation.observer import usable_angle
 from .reference import Reference, ReferenceRequest, rest_reference
 
 if TYPE_CHECKING:
+    from hystmpc.models.scheduled import MeasuredInput
+
     from ..guarded import GuardedController, GuardedState
 
 _SAME_COMMAND = 1e-6  # of the command's range: two records of one command may differ by it
