@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +22,7 @@ from .chain_fit import no_result
 from .cross_validation import Hypothesis, gain
 from .estimation_noise import estimation_noise
 from .least_squares import one_blas_thread
-from .parts import varies, whole_delay
+from .parts import NO_RANGES, Ends, varies, whole_delay
 from .runs import Run, check_trial_set, command_range, ordered, runs_to_fit
 from .uncertainty import ParameterRow, parameter_rows
 
@@ -66,6 +66,7 @@ def identify_auto(
     trials: Sequence[Trial],
     skip_first_flexure: bool = False,
     progress: SearchProgress = lambda share, rmse: None,
+    ranges: Mapping[str, Ends] = NO_RANGES,
 ) -> AutoFit:
     """Identify drive, creep and hysteresis of a device jointly, each in the simplest form that explains the trials.
 
@@ -80,6 +81,7 @@ def identify_auto(
             have the same measured inputs, on which friction, gain, offset and time constants may depend.
         skip_first_flexure: leave out each trial up to the first reversal of its command.
         progress: called with the completed share and the best error; KeyboardInterrupt keeps the best so far.
+        ranges: of measured inputs over which their dependences are to hold; those of the trials where left out.
 
     Raises:
         FitError: on unusable trials, or an angle that falls with the command.
@@ -91,22 +93,28 @@ def identify_auto(
         skip_first_flexure,
         lambda share, rmse: progress(share, rmse * decades.angle),
         decades,
+        ranges,
     )
 
 
 def _identified(
-    trials: Sequence[Trial], skip_first_flexure: bool, progress: SearchProgress, decades: Decades
+    trials: Sequence[Trial],
+    skip_first_flexure: bool,
+    progress: SearchProgress,
+    decades: Decades,
+    ranges: Mapping[str, Ends],
 ) -> AutoFit:
     coarse = _thinned(trials, check_trial_set(trials))
     runs = runs_to_fit(coarse, skip_first_flexure)
     refit_share = 0.0 if coarse is trials else _REFIT_SHARE * sum(map(len, trials)) / sum(map(len, coarse))
     share, command = 1 / (1 + refit_share), command_range(trials)  # share of the whole duration
-    last = search = AutoSearch(coarse, runs, lambda done, rmse: progress(share * done, rmse))
+    last = search = AutoSearch(coarse, runs, lambda done, rmse: progress(share * done, rmse), ranges=ranges)
     device, parameters = _searched(search, command)
     rows: tuple[PartRow, ...] = ()
     if coarse is not trials:
         full = runs_to_fit(trials, skip_first_flexure)
-        last = AutoSearch(trials, full, lambda done, rmse: progress(share + (1 - share) * done, rmse), search.terms)
+        tell: SearchProgress = lambda done, rmse: progress(share + (1 - share) * done, rmse)  # noqa: E731
+        last = AutoSearch(trials, full, tell, search.terms, ranges)
         try:
             device, parameters = _at_full_rate(last, device, parameters, command)
         except KeyboardInterrupt:  # the model of the search must not be used: its delay's store fits another rate

@@ -23,7 +23,9 @@ from .chain_fit import no_result
 from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, fit_problem, gain, sureness
 from .least_squares import side_by_side
 from .parts import (
+    NO_RANGES,
     CoreForm,
+    Ends,
     Form,
     core_forms,
     dead_time,
@@ -173,10 +175,11 @@ class AutoSearch:
         runs: Sequence[Run],
         progress: SearchProgress,
         terms: TrialTerms | None = None,
+        ranges: Mapping[str, Ends] = NO_RANGES,
     ) -> None:
         self.runs, self._progress = tuple(runs), progress
         scale = Scale.of(runs)
-        self._cores, inputs = core_forms(trials, scale), input_parts(trials, scale)
+        self._cores, inputs = core_forms(trials, scale), input_parts(trials, scale, ranges)
         self._parts = (*device_parts(scale, dead_time(runs)), *inputs)
         self._inputs = tuple(part.name for part in inputs)  # first of all: what they explain looks like anything else
         self._names = (*self._inputs, *(p.name for p in self._parts if p not in inputs), _CORE)

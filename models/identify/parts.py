@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -25,6 +26,9 @@ from ..operators.static_curves import Line
 from ..scheduled import Dependence, MeasuredInput
 from .chain_kinds import falls, maxwell_slip_starts
 from .runs import Run
+
+Ends = tuple[float, float]
+NO_RANGES: Mapping[str, Ends] = MappingProxyType({})
 
 Form = tuple[Candidate, ...]
 """One alternative of a part: effects that are added together; empty for a device without that part."""
@@ -88,11 +92,14 @@ def device_parts(scale: Scale, late_s: float = 0.0) -> tuple[Part, ...]:
     return Part("drive", drives), Part("creep", creeps), Part("valve", ((), (valve,)))
 
 
-def input_parts(trials: Sequence[Trial], scale: Scale) -> tuple[Part, ...]:
+def input_parts(trials: Sequence[Trial], scale: Scale, ranges: Mapping[str, Ends] = NO_RANGES) -> tuple[Part, ...]:
     """For each measured input that varies, its effects on the core, and that on the time constants of the drive.
 
     A dependence is affine, or bent at the reference where the trials show three values or more. The reference is the
     median of the samples, or the middle of the range where that is one of its ends.
+
+    Args:
+        ranges: of inputs over which a dependence is to hold; that of the trials where left out or narrower.
     """
     parts: list[Part] = []
     command, angle = (np.concatenate([getattr(t, name) for t in trials]) for name in ("command", "angle"))
@@ -103,7 +110,8 @@ def input_parts(trials: Sequence[Trial], scale: Scale) -> tuple[Part, ...]:
         low, high, middle = float(values.min()), float(values.max()), float(np.median(values))
         apart = _LEVEL * (high - low)
         middle = middle if low + apart < middle < high - apart else 0.5 * (low + high)
-        given = MeasuredInput(name, middle, low, high)
+        ends = ranges.get(name, (low, high))
+        given = MeasuredInput(name, middle, min(low, ends[0]), max(high, ends[1]))
         columns = np.column_stack([values, command, np.ones(values.size)])
         rise = float(np.linalg.lstsq(columns, angle, rcond=None)[0][0])
         ways = (False, True) if np.unique(np.round((values - low) / apart)).size > 2 else (False,)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -39,6 +39,7 @@ class FitRequest:
         plays: number of plays of a Prandtl-Ishlinskii model; None for the kind's default.
         skip_first_flexure: score each trial from the first reversal of its command on.
         limits: limits of the command sent to the device.
+        ranges: of measured inputs over which a dependence on them is to hold; those of the trials where left out.
     """
 
     training: str = "best"
@@ -50,6 +51,7 @@ class FitRequest:
     plays: int | None = None
     skip_first_flexure: bool = False
     limits: DeviceLimits = field(default_factory=DeviceLimits)
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
