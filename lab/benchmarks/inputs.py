@@ -11,6 +11,7 @@ first 60 % of the withheld file. Both models are scored on the rest of it, less 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -91,9 +92,16 @@ def simulated(levels: Sequence[float], withheld: Sequence[float]) -> list[tuple[
     return rows
 
 
+def centred(path: Path) -> list[Trial]:
+    """Trials of a file less their mean force: that is of the pressure on the piston, not of the seal."""
+    trials = read_trials(path, SEALS, rate_hz=1 / DT_S)
+    mean = float(np.concatenate([trial.angle for trial in trials]).mean())
+    return [replace(trial, angle=trial.angle - mean) for trial in trials]
+
+
 def seals(folder: Path, seal: str) -> list[tuple[str, Vec, Vec, Vec]]:
     """The same of recorded seals; each pressure is withheld."""
-    logs = {path: read_trials(path, SEALS, rate_hz=1 / DT_S) for path in sorted(folder.glob(f"{seal}_*bar.tsv"))}
+    logs = {path: centred(path) for path in sorted(folder.glob(f"{seal}_*bar.tsv"))}
     rows = []
     for path in logs:
         seen = [trial for other in logs if other != path for trial in logs[other]]

@@ -200,19 +200,23 @@ class AutoSearch:
         core, none = self._cores[-1], self._none()
         try:
             self.terms = self._terms_of_trials()
-            present = self._judged(core, none, self._fitted(core, none, None))
+            present = rich = self._judged(core, none, self._fitted(core, none, None))
         except KeyboardInterrupt:
             raise no_result("the first core", interrupted=True) from None
         try:
-            parts = self._names[:-1]
-            open_forms = [a for name in (*self._names, *parts) for a in self._alternatives(name, present)]
+            parts = tuple(name for name in self._names[:-1] if name not in self._inputs)
+            names = (*parts, _CORE, *parts, *(2 * self._names if self._inputs else ()))
+            open_forms = [a for name in names for a in self._alternatives(name, present)]
             self._plan(open_forms, present, _ROUNDS)
-            present = self._rounds(present, self._names)
+            present = self._rounds(present, (*parts, _CORE))
             line = self._judged(self._cores[0], none, self._fitted(self._cores[0], none, None))
             self._rounds(line, parts)
             chosen = self._simplest_tried(present)
             if chosen.core is self._cores[0] is not present.core:
                 chosen = self._simplest_tried(self._reselected(_CORE, chosen))
+            if self._inputs:  # also from the richest core: without an input it may have been chosen by what that hides
+                ends = [self._rounds(start, self._names) for start in (rich, chosen)]
+                chosen = self._simplest_tried(min(ends, key=lambda end: end.judged.mse))
             chosen = self._with_one_zero(chosen)
             self._judge_plain_kinds(chosen.size)
             return self._finished(self.least_of_simpler(chosen))

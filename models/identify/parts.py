@@ -45,10 +45,7 @@ _BENT = "pi, 6 plays"  # core that is combined with a curve
 _SLACK = "slack/rounded"  # also before gradual plays: the bladder of a muscle has to meet its braid first
 _CURVES = ("nonlinear_gain/output", "asymmetry/output", "asymmetry/directional", _SLACK, "contact/output")
 _OF_CORE, _OF_DRIVE = ("friction", "gain", "offset"), ("time",)  # groups of parameters that may depend on an input
-_VARIES, _LEVEL = (
-    0.02,
-    0.05,
-)  # least range of an input as share of its size; distance of two of its levels, of its range
+_VARIES, _BETWEEN = 0.02, 0.1  # least range of an input by its size; least share of its samples in the middle half
 _PLAYS, _FEW, _MANY = 5, 4, 8  # number of curved plays, and of pieces in their curves
 _RADII = (0.02, 0.45)  # narrowest and widest play, as shares of the command's range
 
@@ -95,8 +92,8 @@ def device_parts(scale: Scale, late_s: float = 0.0) -> tuple[Part, ...]:
 def input_parts(trials: Sequence[Trial], scale: Scale, ranges: Mapping[str, Ends] = NO_RANGES) -> tuple[Part, ...]:
     """For each measured input that varies, its effects on the core, and that on the time constants of the drive.
 
-    A dependence is affine, or bent at the reference where the trials show three values or more. The reference is the
-    median of the samples, or the middle of the range where that is one of its ends.
+    A dependence is affine, or bent at the reference where the trials show values in the middle half of the range. The
+    reference is the median of the samples where that is one, else the middle of the range.
 
     Args:
         ranges: of inputs over which a dependence is to hold; that of the trials where left out or narrower.
@@ -108,13 +105,14 @@ def input_parts(trials: Sequence[Trial], scale: Scale, ranges: Mapping[str, Ends
         if not varies(values):
             continue
         low, high, middle = float(values.min()), float(values.max()), float(np.median(values))
-        apart = _LEVEL * (high - low)
-        middle = middle if low + apart < middle < high - apart else 0.5 * (low + high)
+        quarter = 0.25 * (high - low)
+        middle = middle if low + quarter < middle < high - quarter else 0.5 * (low + high)
         ends = ranges.get(name, (low, high))
         given = MeasuredInput(name, middle, min(low, ends[0]), max(high, ends[1]))
         columns = np.column_stack([values, command, np.ones(values.size)])
         rise = float(np.linalg.lstsq(columns, angle, rcond=None)[0][0])
-        ways = (False, True) if np.unique(np.round((values - low) / apart)).size > 2 else (False,)
+        between = float(np.mean((values > low + quarter) & (values < high - quarter)))
+        ways = (False, True) if between > _BETWEEN else (False,)
         for part, groups in ((name, _OF_CORE), (f"{name}, drive", _OF_DRIVE)):
             sets = [s for k in range(1, len(groups) + 1) for s in itertools.combinations(groups, k)]
             made = {(g, b): _dependence(Dependence(given, g, b), scale, rise) for g in groups for b in ways}
