@@ -324,6 +324,7 @@ class TipController:
             if command is not None:
                 held = require_within(command, self._assembly.limits, "reset: got command")
             memory = initial_snapshot(self._origin, held, command is None and self._memory.sent)
+            memory = replace(memory, inputs=self._memory.inputs)
             if measured_theta_deg is not None:
                 angle = require_number(measured_theta_deg, "reset: angle")
                 memory = start_control(memory, self._controller, angle)
@@ -349,7 +350,7 @@ class TipController:
         with self._lock:
             present = self._memory
             holds = held_after_replay(memory, present, self._assembly.limits) if said is None else said
-            self._memory = take_up(memory, present, self._controller, holds)
+            self._memory = take_up(replace(memory, inputs=present.inputs), present, self._controller, holds)
 
     def snapshot(self) -> Snapshot:
         """Return a snapshot of the whole state, which with the inputs determines all future commands."""

@@ -137,6 +137,21 @@ def test_no_input_breaks_the_limits_or_the_step(values: list[object]) -> None:
         last = command.u
 
 
+def test_the_last_value_holds_over_a_reset_and_a_replay(files: dict[str, Path]) -> None:
+    one, other = controller(files["yaml"]), controller(files["yaml"])
+    for tip in (one, other):
+        tip.set_target(50.0)
+        tip.step(40.0, inputs={"bar": 3.5})
+        tip.reset(40.0)
+        tip.set_target(60.0)
+    assert [one.step(41.0).u for _ in range(5)] == [other.step(41.0, inputs={"bar": 3.5}).u for _ in range(5)]
+    for tip in (one, other):
+        tip.replay(np.full(30, tip.snapshot().command.u), np.full(30, 41.0))
+        tip.set_target(70.0)
+    answers = [(one.step(41.0), other.step(41.0, inputs={"bar": 3.5})) for _ in range(5)]
+    assert all(a.u == b.u and "inputs" not in a.status for a, b in answers)
+
+
 def test_a_snapshot_has_the_inputs(files: dict[str, Path]) -> None:
     tip = controller(files["yaml"])
     tip.set_reference(wanted)

@@ -62,6 +62,14 @@ def test_what_cannot_use_an_input_says_so(logs: list[Path], tmp_path: Path) -> N
         check(logs, simulator=model)
 
 
+def test_a_diagnosis_says_that_it_does_not_use_the_inputs_of_the_logs(logs: list[Path], tmp_path: Path) -> None:
+    lines: list[str] = []
+    (tmp_path / "map.yaml").write_text("{time: time_s, command: command, angle: angle_deg, inputs: {pressure: bar}}")
+    with pytest.raises(ConfigError, match="got no simulator"):
+        diagnose(logs, None, layout=str(tmp_path / "map.yaml"), say=lines.append)
+    assert "note: the logs name pressure; a diagnosis does not use measured inputs" in lines
+
+
 def test_beyond_the_identified_range_is_said_and_a_missing_input_refuses(logs: list[Path], tmp_path: Path) -> None:
     lines: list[str] = []
     model = save_simulator(simulator(CHAIN), tmp_path / "m.yaml")
