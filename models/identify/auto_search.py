@@ -128,9 +128,8 @@ class Choice:
     @property
     def hidden(self) -> set[tuple[str, str]]:
         """Parts and effects of which held-out errors say nothing: offsets by an input beside those of trials."""
-        if not self.hypothesis.problem.terms.trial_offset:
-            return set()
-        return {(name, c.effect) for name, form in self.forms.items() for c in _offsets(form)}
+        offsets = {(name, c.effect) for name, form in self.forms.items() for c in _offsets(form)}
+        return offsets if offsets and self.hypothesis.problem.terms.trial_offset else set()
 
     @property
     def rmse_deg(self) -> float:
