@@ -98,9 +98,8 @@ class Dependence:
         """f(z)."""
         given = self.input
         away = minimum(maximum(z, given.lower), given.upper) - given.reference
-        if not self.bent:
-            return slopes[0] * away
-        return slopes[0] * minimum(away, 0) + slopes[1] * maximum(away, 0)
+        slope = ca.if_else(away < 0, slopes[0], slopes[1]) if self.bent else slopes[0]
+        return slope * away
 
 
 def members(operator: Operator, group: str) -> tuple[int, ...]:
