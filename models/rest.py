@@ -31,7 +31,8 @@ class RestRule:
     """
 
     def __init__(self, facts: ModelMetadata, start: Start, chain: Chain | None = None) -> None:
-        self._facts, self._start, self._rule, self._chain = facts, start, facts.rule(start), chain
+        self._facts, self._rule, self._chain = facts, facts.rule(start), chain
+        self._start: Start = start
 
     @property
     def hold_samples(self) -> int:
