@@ -93,6 +93,7 @@ class FitCommand(TyperCommand):
     plays={"min": 1, "max": 50},
     drive={"kind": str},
     steps={"flag": "--epochs", "min": 1},
+    inputs={"flag": "--input", "metavar": "NAME"},
     hold_out={"min": 0},
     validation={"metavar": "LOG"},
     constancy_weight={"flag": "--constancy", "min": 0.0},

@@ -137,10 +137,11 @@ def export_controller(
     problem, predictor, words = _problem(settings, home if folder is None else folder)
     about = f"/* {words}\n * Written by hystmpc {version('hystmpc')}; any change is lost at the next export. */\n"
     networks = any(isinstance(part, NetworkRoute) for part in _parts(problem))
-    text = about + _source(problem, predictor.rest_part, single, lanes if networks else 1)
+    inputs = predictor.input_states if problem.fields.get("model") is not None else {}
+    text = about + _source(problem, predictor.rest_part, single, lanes if networks else 1, inputs)
     remembered, whole = _bytes(problem, predictor, text)
     return ControllerExport(
-        about + _header(problem, single, remembered, whole),
+        about + _header(problem, single, remembered, whole, inputs),
         f"{text}\n{_template('front.c')}",
         whole,
         remembered,
@@ -181,7 +182,9 @@ def _samples(problem: Struct) -> int:
     return int(engine().reference_samples(problem.address))
 
 
-def _source(problem: Struct, rest: Struct | None, single: bool, lanes: int) -> str:
+def _source(
+    problem: Struct, rest: Struct | None, single: bool, lanes: int, inputs: Mapping[str, tuple[int, ...]]
+) -> str:
     """Text of hystmpc.c before the functions of its header: the engine and the numbers."""
     numbers = Numbers(single, lanes)
     model = problem.fields.get("model")
@@ -204,16 +207,22 @@ def _source(problem: Struct, rest: Struct | None, single: bool, lanes: int) -> s
             LINE,
             numbers.text,
             straight(numbers.chains),
-            f"static const hystmpc_rest_rule *const exported_rest = {at_rest};\n",
+            f"static const hystmpc_rest_rule *const exported_rest = {at_rest};",
+            f"static const int exported_inputs[][2] = {_input_entries(inputs)}; /* input, entry of the state */\n",
         ]
     )
+
+
+def _input_entries(inputs: Mapping[str, tuple[int, ...]]) -> str:
+    rows = [f"{{{k}, {entry}}}" for k, entries in enumerate(inputs.values()) for entry in entries]
+    return f"{{{', '.join([*rows, '{-1, -1}'])}}}"
 
 
 def _template(name: str) -> str:
     return resources.files("hystmpc.codegen").joinpath("c", name).read_text(encoding="utf-8")
 
 
-def _header(problem: Struct, single: bool, remembered: int, whole: int) -> str:
+def _header(problem: Struct, single: bool, remembered: int, whole: int, inputs: Mapping[str, tuple[int, ...]]) -> str:
     fields, folder = problem.fields, resources.files("hystmpc.core")
     headers = [folder.joinpath(f"{name}.h").read_text(encoding="utf-8") for name in ("controller", "observer")]
     wanted = ("HYSTMPC_MPC", "HYSTMPC_OK"), ("HYSTMPC_STARTED",)
@@ -227,6 +236,7 @@ def _header(problem: Struct, single: bool, remembered: int, whole: int) -> str:
         "REMEMBERED": remembered,
         "BYTES": whole,
     }
+    sizes |= {f"INPUT_{re.sub(r'[^A-Z0-9]', '_', name.upper())}": k for k, name in enumerate(inputs)}
     lines = [f"#define HYSTMPC_{name} {value}" for name, value in sizes.items()]
     lines += ["#ifndef HYSTMPC_SINGLE", f"#define HYSTMPC_SINGLE {int(single)}", "#endif", ""]
     text = _template("hystmpc.h").replace("@SIZES@\n", "\n".join(lines))

@@ -115,6 +115,15 @@ int hystmpc_controller_init(const void *problem, char *memory, const real *x, re
     return answer;
 }
 
+int hystmpc_controller_input(const void *problem, char *memory, int entry, real value) {
+    const hystmpc_problem *p = problem;
+    hystmpc_memory m;
+    hystmpc_memory_at(p, memory, &m);
+    if (!started(&m) || !hystmpc_observer_input(p->sensing, p->model, &m.observed, entry, value)) return 0;
+    m.alone[entry] = value;
+    return 1;
+}
+
 int hystmpc_controller_measure(const void *problem, char *memory, real angle_deg, real age) {
     const hystmpc_problem *p = problem;
     hystmpc_memory m;

@@ -176,6 +176,10 @@ HYSTMPC_API int hystmpc_controller_step(const void *problem, char *memory, real 
 /* The angle [deg] wanted from the next step on, where no reference is given. */
 HYSTMPC_API void hystmpc_controller_target(const void *problem, char *memory, real angle_deg);
 
+/* The present value of a measured input (a pressure, a load), into an entry of the model's state: it holds until the next
+ * one. 1, or 0 where it is no finite number, there is no such entry, or nothing has been started: then nothing changes. */
+HYSTMPC_API int hystmpc_controller_input(const void *problem, char *memory, int entry, real value);
+
 /* Measurement update with an angle [deg] taken `age` samples before the next step; 0 where it cannot be used. */
 HYSTMPC_API int hystmpc_controller_measure(const void *problem, char *memory, real angle_deg, real age);
 

@@ -288,6 +288,15 @@ static int observer_correct_frame(const hystmpc_sensing *s, hystmpc_observed *o,
     return 1;
 }
 
+HYSTMPC_LOCAL int hystmpc_observer_input(const hystmpc_sensing *s, const hystmpc_model *m, hystmpc_observed *o, int entry,
+                                         real value) {
+    const hystmpc_extent n = hystmpc_extent_of(s, m);
+    if (entry < 0 || entry >= n.states || !is_finite(value)) return 0;
+    o->now.model[entry] = value;
+    if (observer_learns(s, m)) o->alone.model[entry] = value;
+    return 1;
+}
+
 HYSTMPC_LOCAL void hystmpc_observer_correct(const hystmpc_sensing *s, const hystmpc_model *m, hystmpc_observed *o,
                                             real y) {
     const hystmpc_extent n = hystmpc_extent_of(s, m);

@@ -114,6 +114,11 @@ HYSTMPC_LOCAL real hystmpc_usable_angle(real y);
 /* One sample more; a count stays before it runs over. */
 HYSTMPC_LOCAL int hystmpc_later(int samples);
 
+/* The present value of a measured input, into an entry of the model's state, where it holds until the next one. 0 where it
+ * is no finite number, or there is no such entry: then nothing changes. */
+HYSTMPC_LOCAL int hystmpc_observer_input(const hystmpc_sensing *s, const hystmpc_model *m, hystmpc_observed *o, int entry,
+                                         real value);
+
 /* Measurement update with y; not-a-number and outliers change nothing but the count of what is missing. */
 HYSTMPC_LOCAL void hystmpc_observer_correct(const hystmpc_sensing *s, const hystmpc_model *m, hystmpc_observed *o,
                                             real y);

@@ -40,7 +40,8 @@ def build_controller(
     solve = _solution(settings, inverse, limits, predictor.dt)
     problem = problem_of(settings, predictor, inverse, limits, observer=observer, law=law, solve=solve)
     rest = known.initial if observer.has_model else None
-    return GuardedController(problem, limits, observer, rest, law, solve)
+    inputs = dict(known.input_states) if observer.has_model else {}
+    return GuardedController(problem, limits, observer, rest, law, solve, inputs)
 
 
 def _solution(settings: LawSettings, inverse: Inverse, limits: CommandLimits, dt: float) -> IterativeSolution | None:

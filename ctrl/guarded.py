@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from threading import local
 from time import perf_counter
+from types import MappingProxyType
 from typing import Any, cast, final
 
 import numpy as np
@@ -17,7 +18,7 @@ from hystmpc.core.library import HoldsAddresses, engine
 from hystmpc.core.outside import faults, forget_faults, raised_last
 from hystmpc.core.structs import Struct, constants, layout
 from hystmpc.trials.brief import brief, in_brief
-from hystmpc.trials.errors import ControllerError, HystmpcError, shown
+from hystmpc.trials.errors import ControllerError, HystmpcError, did_you_mean, shown
 from hystmpc.trials.types import Index, Vec
 
 from .answers import NO_SOLUTION, SOURCES, status_words
@@ -33,6 +34,7 @@ _NOT_AT_REST = constants()["HYSTMPC_NOT_AT_REST"]
 _BEYOND = f"reference: not finite or beyond {ANGLE_BOUND_DEG:.0f} deg"
 _DOUBLE = np.dtype(np.float64)
 _STOPPED = "after repeated failures"
+NO_INPUTS: Mapping[str, tuple[int, ...]] = MappingProxyType({})
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +101,7 @@ class GuardedController(HoldsAddresses):
         rest: state of the predictor (S,) at rest at an angle [deg] and a command; None without a model.
         law: of the problem, if it is written in Python.
         solution: of quadratic programs in Python, by OSQP.
+        inputs: entries of the predictor's state that hold each measured input, by name.
     """
 
     def __init__(
@@ -109,9 +112,10 @@ class GuardedController(HoldsAddresses):
         rest: Callable[[float, float], Vec] | None,
         law: LawPart | None = None,
         solution: IterativeSolution | None = None,
+        inputs: Mapping[str, tuple[int, ...]] = NO_INPUTS,
     ) -> None:
         self.problem, self._limits, self._observer, self._rest = problem, limits, observer, rest
-        self._outside, self._solution = law, solution
+        self._outside, self._solution, self._inputs = law, solution, dict(inputs)
         self._address = problem.address
         self._engine = core = engine()
         self._bytes, self._room_bytes = int(core.memory_bytes(self._address)), int(core.room_bytes(self._address))
@@ -135,6 +139,11 @@ class GuardedController(HoldsAddresses):
         return self._limits
 
     @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the measured inputs on which the model depends."""
+        return tuple(self._inputs)
+
+    @property
     def dt(self) -> float:
         """Sample time [s]."""
         return float(self.problem.fields["dt_s"])
@@ -150,7 +159,7 @@ class GuardedController(HoldsAddresses):
 
         part = LawPart(law, self._states)
         problem = Struct("hystmpc_problem", **{**self.problem.fields, "law": outside_law(part)})
-        return GuardedController(problem, self._limits, self._observer, self._rest, part)
+        return GuardedController(problem, self._limits, self._observer, self._rest, part, inputs=self._inputs)
 
     def init(self, y: float, u: float) -> GuardedState:
         """Return the state at rest.
@@ -277,6 +286,24 @@ class GuardedController(HoldsAddresses):
         forget_faults()
         if not self._engine.controller_measure(self._address, memory, usable_angle(y), age):
             raise ControllerError("; ".join(faults()) or self._observer.refused(y, age))
+        return replace(state, memory=memory)
+
+    def with_inputs(self, state: GuardedState, inputs: Mapping[str, float]) -> GuardedState:
+        """Return the state with the present values of measured inputs, which hold over the preview until the next ones.
+
+        One that is not finite changes nothing.
+
+        Raises:
+            ControllerError: if the model does not depend on an input of that name.
+        """
+        memory = self._copied(state)
+        for name, value in inputs.items():
+            if name not in self._inputs:
+                raise ControllerError(
+                    f"controller: no input {shown(name, 40)}, {did_you_mean(str(name), self._inputs)}"
+                )
+            for entry in self._inputs[name]:
+                self._engine.controller_input(self._address, memory, entry, value)
         return replace(state, memory=memory)
 
     def stop(self, state: GuardedState, cause: str) -> GuardedState:

@@ -14,8 +14,18 @@ from hystmpc.trials.errors import ModelError, did_you_mean
 
 from .effects.catalogue import added_operators
 from .operators.dynamics import Delay, Lag, LinearDynamics, RateLimit, Servo
-from .operators.operator import Operator, Parameter, shipped_operators
+from .operators.operator import Operator, Parameter, is_number, shipped_operators
 from .program import dense
+from .scheduled import (
+    Dependence,
+    MeasuredInput,
+    Scheduled,
+    dependence_spec,
+    input_states,
+    inputs_of,
+    members,
+    scheduled_from,
+)
 
 DYNAMICS = (Delay, Lag, Servo, LinearDynamics, RateLimit)
 """Operators that are not inverted sample by sample: that would amplify every deviation."""
@@ -98,6 +108,28 @@ class Chain:
         """Number of samples for which the command is held after the state at rest; see `Operator.rest_samples`."""
         return max(operator.rest_samples for operator in self.operators)
 
+    @property
+    def inputs(self) -> tuple[MeasuredInput, ...]:
+        """Measured inputs on which parameters depend, each once."""
+        return inputs_of(self.operators)
+
+    @property
+    def input_states(self) -> Mapping[str, tuple[int, ...]]:
+        """Entries of the state that hold the present value of each input."""
+        return input_states(self.operators)
+
+    def at_inputs(self, values: Mapping[str, float]) -> Chain:
+        """Chain whose states at rest are those at these values of its inputs; the others keep theirs."""
+
+        def at(operator: Operator) -> Operator:
+            if not isinstance(operator, Scheduled):
+                return operator
+            pairs = zip(operator.inputs, operator.at_rest_inputs, strict=True)
+            return replace(operator, at_rest_inputs=tuple(values.get(i.name, value) for i, value in pairs))
+
+        before, after = (tuple(map(at, side)) for side in (self.before, self.after))
+        return replace(self, before=before, core=at(self.core), after=after) if values else self
+
     @cached_property
     def transition(self) -> Any:
         """CasADi function (state (S,1), u, p (P,1), dt) -> (theta, next state (S,1))."""
@@ -157,16 +189,17 @@ def operator_from(spec: Any, where: str) -> Operator:
     if kind is None:
         raise ModelError(f"{where}: no operator {name!r}, {did_you_mean(name, operators())}")
     for key in spec:
-        if key not in ("operator", "parameters", *kind.shape):
-            raise ModelError(f"{where}: unknown key {key!r}, {did_you_mean(key, ['parameters', *kind.shape])}")
+        if key not in (known := ("operator", "parameters", "depends_on", *kind.shape)):
+            raise ModelError(f"{where}: unknown key {key!r}, {did_you_mean(key, known[1:])}")
     given = spec.get("parameters")
     if not isinstance(given, dict) or not all(is_number(v) for v in given.values()):
         raise ModelError(f"{where}: {name}.parameters is {given!r}, expected a mapping of numbers")
     template = template_from(kind, spec, given, where)
     try:
-        return template.with_values(_ordered(name, [p.name for p in template.parameters], given))
+        operator = template.with_values(_ordered(name, [p.name for p in template.parameters], given))
     except ModelError as error:
         raise ModelError(f"{where}: {error}") from None
+    return scheduled_from(operator, spec["depends_on"], where) if "depends_on" in spec else operator
 
 
 def _ordered(operator_name: str, names: Sequence[str], given: dict[str, float]) -> list[float]:
@@ -182,6 +215,8 @@ def _ordered(operator_name: str, names: Sequence[str], given: dict[str, float]) 
 
 def operator_spec(operator: Operator) -> dict[str, Any]:
     """Plain data from which `operator_from` builds the operator again."""
+    if isinstance(operator, Scheduled):
+        return {**operator_spec(operator.operator), "depends_on": dependence_spec(operator)}
     names = (parameter.name for parameter in operator.parameters)
     return {
         "operator": operator.name,
@@ -214,11 +249,6 @@ def template_from(kind: type[Operator], spec: Mapping[str, Any], given: Iterable
 def names_of(operator: Operator) -> set[str]:
     """Parameter names of the operator."""
     return {parameter.name for parameter in operator.parameters}
-
-
-def is_number(value: Any) -> bool:
-    """Whether plain data is a number; True and False are not numbers."""
-    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _check_size(value: Any, limits: tuple[int, int], where: str) -> None:
@@ -256,6 +286,22 @@ def _side(specs: Any, where: str) -> tuple[Any, ...]:
     return tuple(operator_from(spec, f"{where}[{k}]") for k, spec in enumerate(specs or []))
 
 
+def with_dependences(chain: Chain, dependences: Sequence[Dependence]) -> Chain:
+    """Chain with slopes of zero: of its core, and of the time constants of drives on the command.
+
+    A dependence on a group that no operator has is left out.
+    """
+
+    def of(operator: Operator, of_drive: bool) -> Operator:
+        fitting = [d for d in dependences if (d.group == "time") == of_drive and members(operator, d.group)]
+        return Scheduled.of(operator, fitting) if fitting else operator
+
+    if not dependences:
+        return chain
+    before = tuple(of(o, True) if isinstance(o, Lag | Servo) else o for o in chain.before)
+    return replace(chain, before=before, core=of(chain.core, False))
+
+
 class Split(NamedTuple):
     """Chain in three parts: dynamics on the command, the invertible part, dynamics on the angle."""
 
@@ -266,7 +312,7 @@ class Split(NamedTuple):
 
 def split(chain: Chain) -> Split:
     """Split a chain into dynamics on the command, the invertible part, and dynamics on the angle."""
-    last = max((k + 1 for k, o in enumerate(chain.before) if isinstance(o, DYNAMICS)), default=0)
-    first = min((k for k, o in enumerate(chain.after) if isinstance(o, DYNAMICS)), default=len(chain.after))
+    last = max((k + 1 for k, o in enumerate(chain.before) if isinstance(o.inner, DYNAMICS)), default=0)
+    first = min((k for k, o in enumerate(chain.after) if isinstance(o.inner, DYNAMICS)), default=len(chain.after))
     middle = Chain(chain.core, chain.before[last:], chain.after[:first])
     return Split(chain.before[:last], middle, chain.after[first:])

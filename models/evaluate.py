@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Vec
 
 from .contract.metadata import ModelMetadata
-from .model import LoadedModel
+from .model import NO_INPUTS, LoadedModel
 from .start import TrialStart, estimated_start, motion_line, search_box, trial_start
 
 FORMAT = "hystmpc-evaluation/1"
@@ -87,28 +87,50 @@ class TrialEvaluation:
         return in_brief(self, f"{Path(self.trial.source).name}: {numbers}")
 
 
-def free_run(model: LoadedModel, commands: Vec, start: float | TrialStart) -> Vec:
+def free_run(
+    model: LoadedModel, commands: Vec, start: float | TrialStart, inputs: Mapping[str, Vec] = NO_INPUTS
+) -> Vec:
     """Angles (T,) [deg] of a model over commands (T,), from a start and without any other measurement.
 
     Args:
         commands: (T,) [command unit].
         start: angle [deg] of the device at rest at the first command; or another start.
+        inputs: measured inputs (T,) by name; their references where left out.
     """
     if not isinstance(start, TrialStart):
         start = TrialStart(float(commands[0]), start)
     whole = np.concatenate([start.approach, commands])
-    return model.run_on(model.at_rest(start.angle, start.command)[None], whole[None])[0][0, len(start.approach) :]
+    first, early = {name: float(z[0]) for name, z in inputs.items()}, len(start.approach)
+    along = {name: np.pad(z, (early, 0), mode="edge") for name, z in inputs.items()}
+    if not inputs:
+        return model.run_on(model.at_rest(start.angle, start.command)[None], whole[None])[0][0, early:]
+    return model.run_on(model.at_rest(start.angle, start.command, first)[None], whole[None], along)[0][0, early:]
 
 
 def started(model: LoadedModel, trial: Trial) -> TrialStart:
     """Start of a free run over a trial: at rest, or estimated by the model; see `models.start`."""
     start, facts = trial_start(trial.command, trial.angle, trial.dt, trial.inverted), model.metadata
 
+    inputs = inputs_for(model, trial)
+
     def runs(commands: Vec, angles: Vec, plans: Vec) -> Vec:
-        return model.run_on(model.resting(commands, angles), plans)[0]
+        if not inputs:
+            return model.run_on(model.resting(commands, angles), plans)[0]
+        first, early = {name: float(z[0]) for name, z in inputs.items()}, plans.shape[1] - start.lead
+        along = {name: np.r_[np.full(early, z[0]), z[: start.lead]] for name, z in inputs.items()}
+        return model.run_on(model.resting(commands, angles, first), plans, along)[0]
 
     box = search_box(facts.trained_command, facts.trained_angle)
     return estimated_start(start, trial.command, trial.angle, trial.dt, box, runs)
+
+
+def inputs_for(model: LoadedModel, trial: Trial) -> Mapping[str, Vec]:
+    """Measured inputs of a trial on which the model depends, by name.
+
+    Raises:
+        LogError: if the trial lacks one.
+    """
+    return trial.with_inputs([given.name for given in model.inputs]).inputs if model.inputs else {}
 
 
 def evaluate(
@@ -126,7 +148,7 @@ def evaluate(
 
     Raises:
         ModelError: if sample times or units differ, or the model's angle is not finite.
-        LogError: if the first flexure is to be skipped and the command never turns.
+        LogError: if the first flexure is to be skipped and the command never turns, or the trial lacks an input.
     """
     metadata = model.metadata
     trial = trial.swapped() if metadata.inverted and not trial.inverted else trial
@@ -143,7 +165,11 @@ def evaluate(
     lead = began.command if before else trial.command[:0]
     begin = started(model, began)
     commands = np.concatenate([lead, trial.command, held])
-    theta = free_run(model, commands, begin)[lead.size :]
+    inputs = {
+        name: np.concatenate([inputs_for(model, began)[name] if before else z[:0], z, np.full(held.size, z[-1])])
+        for name, z in inputs_for(model, trial).items()
+    }
+    theta = free_run(model, commands, begin, inputs)[lead.size :]
     if not np.all(np.isfinite(theta)):
         raise ModelError(
             f"{trial.source}: the model's angle is not finite from sample {np.argmin(np.isfinite(theta))} on"

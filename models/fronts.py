@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from functools import cached_property
-from typing import Any, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from hystmpc.core.structs import Struct, constants, struct
 from hystmpc.trials.types import Vec
 
 from .model import Inverse, Predictor, kind_of
+
+if TYPE_CHECKING:
+    from .scheduled import MeasuredInput
 
 
 @final
@@ -109,6 +112,17 @@ class EnginePredictor(Predictor):
 def pair_part(kind: str, first: Predictor, second: Predictor, size: int) -> Struct:
     """Two predictors as one `hystmpc_predictor`, with so many entries of its state."""
     return struct("hystmpc_predictor", kind=kind_of(kind), states=size, first=first.part, second=second.part)
+
+
+def pair_inputs(
+    first: Predictor, second: Predictor, between: int = 0
+) -> tuple[tuple[MeasuredInput, ...], dict[str, tuple[int, ...]]]:
+    """Inputs of two predictors, and their entries in [state of the first, `between` numbers, state of the second]."""
+    places = {name: list(entries) for name, entries in first.input_states.items()}
+    for name, entries in second.input_states.items():
+        places.setdefault(name, []).extend(first.state_size + between + k for k in entries)
+    known = {given.name: given for given in (*second.inputs, *first.inputs)}
+    return tuple(known.values()), {name: tuple(entries) for name, entries in places.items()}
 
 
 def pair_rest(first: Predictor, second: Predictor) -> Struct:

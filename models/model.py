@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cached_property
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -20,7 +21,10 @@ from .rest import RestRule
 
 if TYPE_CHECKING:
     from .operators.operator import Operator
+    from .scheduled import MeasuredInput
 
+NO_INPUTS: Mapping[str, Vec] = MappingProxyType({})
+NO_VALUES: Mapping[str, float] = MappingProxyType({})
 _SETTLING_S = 2.0  # [s], many times the lag of any catheter drive
 
 
@@ -108,21 +112,44 @@ class LoadedModel(ABC):
         y = np.asarray(y, dtype=np.float64).reshape(-1, 1)
         return np.hstack([self._rule.state(y), y])
 
-    def resting(self, commands: Vec, angles: Vec) -> Vec:
-        """States (N, S) after constant commands (N,) with output angles (N,) [deg] and the warm-up; see `RestRule`."""
+    @property
+    def inputs(self) -> tuple[MeasuredInput, ...]:
+        """Measured inputs on which the model depends; see `models.scheduled`."""
+        chain = self._rest.chain if self.metadata.by_inputs else None
+        return () if chain is None else chain.inputs
+
+    @property
+    def input_states(self) -> Mapping[str, tuple[int, ...]]:
+        """Entries of the state that hold the present value of each input; writing it there is measuring it."""
+        chain = self._rest.chain if self.metadata.by_inputs else None
+        return {} if chain is None else chain.input_states
+
+    def resting(self, commands: Vec, angles: Vec, inputs: Mapping[str, float] = NO_VALUES) -> Vec:
+        """States (N, S) after constant commands (N,) with output angles (N,) [deg] and the warm-up; see `RestRule`.
+
+        Args:
+            inputs: constant values of the measured inputs; their references where left out.
+        """
         commands, angles = (np.asarray(given, dtype=np.float64) for given in (commands, angles))
-        states = self._rest.states(commands, angles)
+        states = self._rest.at_inputs(inputs).states(commands, angles)
         held = self._rest.hold_samples
         return self.run_on(states, np.tile(commands[:, None], held))[1] if held else states
 
-    def at_rest(self, theta_deg: float, command: float) -> Vec:
+    def at_rest(self, theta_deg: float, command: float, inputs: Mapping[str, float] = NO_VALUES) -> Vec:
         """State (S,) of a device at rest at an angle [deg] under a command; see `resting`."""
-        return self.resting(np.array([command]), np.array([theta_deg]))[0]
+        return self.resting(np.array([command]), np.array([theta_deg]), inputs)[0]
 
-    def run_on(self, states: Vec, commands: Vec) -> tuple[Vec, Vec]:
-        """Angles (N, T) [deg] over commands (N, T) from states (N, S), and the states after them."""
-        theta = np.empty(commands.shape)
+    def run_on(self, states: Vec, commands: Vec, inputs: Mapping[str, Vec] = NO_INPUTS) -> tuple[Vec, Vec]:
+        """Angles (N, T) [deg] over commands (N, T) from states (N, S), and the states after them.
+
+        Args:
+            inputs: measured inputs (T,); one that is left out keeps its value in the states.
+        """
+        theta, states = np.empty(commands.shape), np.array(states, dtype=np.float64)
+        places = [(list(self.input_states[name]), np.asarray(z, dtype=np.float64)) for name, z in inputs.items()]
         for k in range(commands.shape[1]):
+            for at, z in places:
+                states[:, at] = z[k]
             angle, states = self.advance(states, commands[:, k : k + 1])
             theta[:, k] = angle[:, 0]
         return theta, np.asarray(states, dtype=np.float64)
@@ -191,13 +218,16 @@ class Predictor(WithPart, ABC):
 
     dt: float
     command_range: tuple[float, float]  # trained range
+    inputs: tuple[MeasuredInput, ...] = ()  # measured inputs on which it depends
+    input_states: Mapping[str, tuple[int, ...]] = MappingProxyType({})  # entries of the state that hold each
     noise: NoiseModel | None = None  # None where the file has none
     model_sigma_deg: float = math.nan  # error without a sensor [deg]; not-a-number where unknown
 
     def _as(self, other: Predictor) -> None:
-        """Copy sample time, range and noise from another predictor."""
+        """Copy sample time, range, noise and inputs from another predictor, whose state comes first."""
         self.dt, self.command_range = other.dt, other.command_range
         self.noise, self.model_sigma_deg = other.noise, other.model_sigma_deg
+        self.inputs, self.input_states = other.inputs, other.input_states
 
     @property
     def state_size(self) -> int:
@@ -244,6 +274,8 @@ class ModelPredictor(Predictor):
         self.command_range = (metadata.trained_command.lower, metadata.trained_command.upper)
         self.noise, self.model_sigma_deg = metadata.noise, metadata.model_sigma_deg
         self._rest = RestRule(metadata, start)
+        if metadata.by_inputs and (chain := self._rest.chain) is not None:
+            self.inputs, self.input_states = chain.inputs, chain.input_states
 
     @property
     def rest_part(self) -> Struct | None:

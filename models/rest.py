@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, final
 
@@ -32,12 +32,19 @@ class RestRule:
 
     def __init__(self, facts: ModelMetadata, start: Start, chain: Chain | None = None) -> None:
         self._facts, self._rule, self._chain = facts, facts.rule(start), chain
+        self._start: Start = start
 
     @property
     def hold_samples(self) -> int:
         """Number of samples for which the command is held from these states on, until the model rests."""
-        chain = self._whole
+        chain = self.chain
         return self._facts.warmup_samples if chain is None else chain.rest_samples
+
+    def at_inputs(self, values: Mapping[str, float]) -> RestRule:
+        """Rule at other values of the measured inputs than their references."""
+        if not values or self.chain is None:
+            return self
+        return RestRule(self._facts, self._start, self.chain.at_inputs(values))
 
     def states(self, commands: Vec, angles: Vec) -> Vec:
         """States (N, S) at commands (N,) [command unit] with output angles (N,) [deg]."""
@@ -46,7 +53,7 @@ class RestRule:
     @cached_property
     def part(self) -> Struct:
         """The rule as the engine reads it, `hystmpc_rest_rule` of core/at_rest.h."""
-        chain, held, kinds = self._whole, self.hold_samples, constants()
+        chain, held, kinds = self.chain, self.hold_samples, constants()
         if chain is not None:
             from .stages import prepared
 
@@ -61,7 +68,7 @@ class RestRule:
         return struct("hystmpc_rest_rule", kind=kinds["HYSTMPC_RULED"], held=held, **rows)
 
     @cached_property
-    def _whole(self) -> Chain | None:
+    def chain(self) -> Chain | None:
         """Chain of the whole model; None where it is no chain, or its operators are unknown here."""
         if self._chain is not None or self._facts.chain is None:
             return self._chain
@@ -77,8 +84,8 @@ class RestRule:
     def _parts(self) -> list[_Part]:
 
         dt_s = self._facts.dt_s
-        if self._whole is not None:
-            return [ChainRest(self._whole, dt_s).states]
+        if self.chain is not None:
+            return [ChainRest(self.chain, dt_s).states]
         parts, cut, shows = list[_Part](), 0, True
         for connection in self._facts.connections:
             from .chain import chain_from

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -29,7 +30,7 @@ from .contract.metadata import (
     rest_within,
     slow_error,
 )
-from .model import LoadedModel, StepFunction
+from .model import NO_INPUTS, LoadedModel, StepFunction
 from .motions import probe_commands
 from .operators.operator import Operator
 from .program import dense
@@ -300,12 +301,17 @@ class ChainModel(LoadedModel, StepFunction):
     def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
         return self._run.run(state, u)
 
-    def run_on(self, states: Vec, commands: Vec) -> tuple[Vec, Vec]:
-        return self._run.run(states, commands)
+    def run_on(self, states: Vec, commands: Vec, inputs: Mapping[str, Vec] = NO_INPUTS) -> tuple[Vec, Vec]:
+        return super().run_on(states, commands, inputs) if inputs else self._run.run(states, commands)
 
-    def run(self, commands: Vec, y: float) -> Vec:
-        """Free run (T,) [deg] over commands (T,) from the rest at the first of them that shows `y` [deg]."""
-        return self.run_on(self.at_rest(y, float(commands[0]))[None], commands[None])[0][0]
+    def run(self, commands: Vec, y: float, inputs: Mapping[str, Vec] = NO_INPUTS) -> Vec:
+        """Free run (T,) [deg] over commands (T,) from the rest at the first of them that shows `y` [deg].
+
+        Args:
+            inputs: measured inputs (T,) by name; their references where left out.
+        """
+        first = {name: float(z[0]) for name, z in inputs.items()}
+        return self.run_on(self.at_rest(y, float(commands[0]), first)[None], commands[None], inputs)[0][0]
 
     def casadi_function(self) -> ca.Function:
         x, u = ca.SX.sym("x", self.state_size), ca.SX.sym("u")

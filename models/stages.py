@@ -28,6 +28,7 @@ from hystmpc.core.chain import ChainCode, PreparedChain, StageProgram
 from .assignments import Assignments
 from .operators.operator import Operator
 from .program import BINARY, UNARY, dense
+from .scheduled import Scheduled, inputs_of
 
 CODES = {name: code for code, name in enumerate((*BINARY, *UNARY, "select"))}
 """Number of each operation; `core/program.c` has the same list."""
@@ -42,6 +43,26 @@ AHEAD, THROUGH, SLOPES = range(3)
 @lru_cache(maxsize=1024)
 def _in_series(stages: tuple[StageProgram, ...]) -> ChainCode:
     return ChainCode(stages)
+
+
+@lru_cache(maxsize=256)
+def _driven(stages: tuple[StageProgram, ...], reads: tuple[tuple[int, ...], ...], inputs: int) -> ChainCode:
+    signals = [0, *range(1 + inputs, 1 + inputs + len(stages))]
+    wires = [((signals[k], *more), (signals[k + 1],)) for k, more in enumerate(reads)]
+    return ChainCode(stages, wires, [signals[-1]], scheduled=inputs)
+
+
+def driven_code(operators: Sequence[Operator]) -> ChainCode:
+    """The same with the measured inputs as signals behind the command, in the order of `inputs_of`.
+
+    States and parameters are those of `chain_code`; the states of the inputs follow the signals.
+    """
+    names = [given.name for given in inputs_of(operators)]
+    read = [tuple(i.name for i in o.inputs) if isinstance(o, Scheduled) else () for o in operators]
+    stages = tuple(
+        _of_structure(type(o), tuple(o.structure.items()), len(more)) for o, more in zip(operators, read, strict=True)
+    )
+    return _driven(stages, tuple(tuple(1 + names.index(name) for name in more) for more in read), len(names))
 
 
 def chain_code(operators: Sequence[Operator]) -> ChainCode:
@@ -61,13 +82,14 @@ def operator_program(operator: Operator) -> StageProgram:
 
 
 @lru_cache(maxsize=1024)
-def _of_structure(kind: type[Operator], structure: tuple[tuple[str, Any], ...]) -> StageProgram:
+def _of_structure(kind: type[Operator], structure: tuple[tuple[str, Any], ...], inputs: int = 0) -> StageProgram:
     operator = kind.template(**dict(structure))
-    x, u = ca.SX.sym("x", len(operator.states)), ca.SX.sym("u")
+    x, u = ca.SX.sym("x", len(operator.states)), ca.SX.sym("u", 1 + inputs)
     p, dt = ca.SX.sym("p", len(operator.parameters)), ca.SX.sym("dt")
     following, y = operator.equation(x, u, p, dt)
     seen = ca.SX.sym("seen")
-    return stage_program((x, u, p, dt), (y, following), (seen, operator.at_rest(u, seen, p)))
+    rest = None if inputs else (seen, operator.at_rest(u, seen, p))  # no input moves at rest
+    return stage_program((x, u, p, dt), (y, following), rest)
 
 
 @lru_cache(maxsize=256)

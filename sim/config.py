@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Self
 
+import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
 from hystmpc.ctrl.command import ModelledLimitsSettings
@@ -24,6 +25,9 @@ from hystmpc.trials.config import (
     place_in,
 )
 from hystmpc.trials.errors import ModelError
+from hystmpc.trials.layouts import is_mapping_file
+from hystmpc.trials.read import read_trials
+from hystmpc.trials.types import Vec
 
 from .devices.names import DeviceError, device_parameters
 
@@ -56,6 +60,48 @@ class EffectSettings(Settings):
         return self
 
 
+class InputSignal(Settings):
+    """Measured input of the plant over the time of a run: a number, or a signal of a log.
+
+    Attributes:
+        value: constant; a number alone in place of the block says the same.
+        log: file that holds the input under its name, or by `layout`; its first value also counts at rest, and the last
+            one is held.
+        layout: of the log: auto, canonical, tendon-catheter, or a mapping file *.yaml.
+    """
+
+    value: float | None = None
+    log: str | None = None
+    layout: str = "auto"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _number_alone(cls, data: Any) -> Any:
+        return {"value": data} if isinstance(data, int | float) and not isinstance(data, bool) else data
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if (self.value is None) == (self.log is None):
+            raise ValueError("expected one of `value: NUMBER` and `log: FILE`")
+        return self
+
+    def in_folder(self, folder: Path) -> Self:
+        """The same with absolute file names, relative ones starting at `folder`."""
+        files = {"log": self.log, "layout": self.layout if is_mapping_file(self.layout) else None}
+        return self.model_copy(update={k: str((folder / name).resolve()) for k, name in files.items() if name})
+
+    def at(self, name: str, t: Vec) -> Vec:
+        """Values (T,) at times t (T,) [s] from the reset on.
+
+        Raises:
+            LogError: if the log cannot be read, or has no such signal.
+        """
+        if self.log is None:
+            return np.full(t.shape, self.value)
+        trial = read_trials(self.log, self.layout)[0].with_inputs([name])
+        return np.interp(t, trial.t - trial.t[0], trial.inputs[name])
+
+
 class PlantSettings(Settings):
     """Simulated plant: a simulator or a device, with additional effects; see `make_plant` and `Effects`.
 
@@ -66,6 +112,8 @@ class PlantSettings(Settings):
         mismatch: factors on parameters, of a simulator by label such as `prandtl_ishlinskii.a0`, of a device by name.
         effects: effects of the library in addition to lag, delay, noise and quantisation.
         virgin: start without the initialisation flexure.
+        inputs: measured inputs on which the simulator depends, by name; the identified values where left out. The
+            controllers measure them, too.
         lag_s: first-order lag of the command [s].
         delay_s: delay of the command [s].
         noise_deg: standard deviation of the sensor's white noise [deg].
@@ -82,6 +130,7 @@ class PlantSettings(Settings):
     mismatch: dict[str, float] = Field(default_factory=dict)
     effects: tuple[EffectSettings, ...] = ()
     virgin: bool = False
+    inputs: dict[str, InputSignal] = Field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -98,6 +147,8 @@ class PlantSettings(Settings):
                 expected = "expected none: its numbers stand in its file, see mismatch"
                 raise MisplacedError(f"got {names} for a simulator, {expected}", ("parameters",))
             return self
+        if names := ", ".join(self.inputs):
+            raise MisplacedError(f"got {names} for a device, expected none: a simulator has them", ("inputs",))
         try:
             device_parameters(self.device, self.parameters, self.mismatch)
         except DeviceError as error:
@@ -210,7 +261,8 @@ def located(
             raise ModelError(f"{where(keys)}: {'.'.join(keys)}: {error}" if where else str(error)) from None
 
     device = config.plant.simulator
-    plant = {"simulator": None if device is None else file(device, "plant", "simulator")}
+    plant: dict[str, Any] = {"simulator": None if device is None else file(device, "plant", "simulator")}
+    plant["inputs"] = {name: one.in_folder(folder) for name, one in config.plant.inputs.items()}
     changes = {
         "plant": config.plant.model_copy(update=plant),
         "model": file(config.model, "model"),

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 
 from hystmpc.ctrl.build import build_controller, pair_for
-from hystmpc.ctrl.command import CommandLimits, ModelledLimitsSettings, limits_of_model, modelled_limits
+from hystmpc.ctrl.command import Command, CommandLimits, ModelledLimitsSettings, limits_of_model, modelled_limits
 from hystmpc.ctrl.config import AnyControllerSettings
-from hystmpc.ctrl.guarded import GuardedController
+from hystmpc.ctrl.guarded import GuardedController, GuardedState
 from hystmpc.ctrl.loop import (
     AnySensorSettings,
     ContinuousSensorSettings,
@@ -35,6 +35,7 @@ from hystmpc.trials.types import Vec
 from .config import SimulationConfig
 from .plants.computed import ComputedPlant
 from .plants.device import make_plant, plant_files
+from .plants.simulated import SimulatedPlant
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,6 +178,21 @@ class ClosedLoopRun:
         return self.error_deg[self.first :]
 
 
+@final
+class _Measuring:
+    """Controller that measures those inputs of a plant on which its model depends, at every step."""
+
+    def __init__(self, controller: GuardedController, plant: SimulatedPlant) -> None:
+        self._controller, self._plant = controller, plant
+        self.dt, self.horizon, self.init = controller.dt, controller.horizon, controller.init
+        self.measure = controller.measure
+
+    def step(self, state: GuardedState, y: float, reference: Vec) -> tuple[Command, GuardedState]:
+        """Step of the controller, see `GuardedController.step`."""
+        seen = {name: value for name, value in self._plant.inputs.items() if name in self._controller.inputs}
+        return self._controller.step(self._controller.with_inputs(state, seen), y, reference)
+
+
 def run_closed_loop(
     controller: Controller[Any],
     plant: ComputedPlant,
@@ -196,6 +212,8 @@ def run_closed_loop(
         ControllerError: if controller and plant differ in sample time, or the controller cannot start from the rest.
     """
     preview = PreviewTable(motion, plant.dt, controller.horizon)
+    if isinstance(controller, GuardedController) and isinstance(plant, SimulatedPlant) and controller.inputs:
+        controller = _Measuring(controller, plant)
     angles: list[float] = []
 
     def note(sample: LoopSample) -> None:

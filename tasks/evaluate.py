@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from json import dumps
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from hystmpc.trials.brief import in_brief
 from hystmpc.trials.errors import in_a_line
@@ -128,6 +130,8 @@ def evaluate(
     evaluation = free_runs(runs, recorded, skip_first_flexure, progress, "" if file is None else str(model))
     if say is not None:
         warn_outside(evaluation, runs.metadata, say)
+        for line in beyond_inputs(runs, recorded):
+            say(line)
     if json is not None:
         from hystmpc.models.evaluate import evaluation_json
 
@@ -150,6 +154,17 @@ def free_runs(
         if progress is not None:
             progress(len(runs), len(trials), "free runs")
     return Evaluation(tuple(runs), subtitle)
+
+
+def beyond_inputs(model: LoadedModel, trials: Iterable[Trial]) -> Iterator[str]:
+    """Lines on measured inputs outside the range of the model's identification, whose nearest end counts there."""
+    for given in model.inputs:
+        for trial in trials:
+            low, high = (float(end(trial.with_inputs([given.name]).inputs[given.name])) for end in (np.min, np.max))
+            if low < given.lower or high > given.upper:
+                seen, ends = f"{low:.4g} to {high:.4g}", f"{given.lower:.4g} to {given.upper:.4g}"
+                yield f"{Path(trial.source).name}: {given.name} {seen}, identified {ends}: the nearest value counts"
+                break
 
 
 def warn_outside(evaluation: Evaluation, facts: ModelMetadata, say: Say) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 
 DEFAULT_RATE_HZ = 25.0
 SEEN, UNSEEN = " that it was identified from", " that the fit did not see"
+_RANGE = re.compile(r"(-?\d+\.?\d*):(-?\d+\.?\d*)")
 _PARTS = ("part", "form", "without it", "with it")
 _NUMBERS = ("parameter", "value", "interval", "unit")
 
@@ -131,6 +133,7 @@ def fit(
     constancy_weight: float | None = None,
     seed: int = 1,
     limits: CommandLimits | DeviceLimits | None = None,
+    inputs: Iterable[str] = (),
     test: Logs = (),
     report: Path | str | None = None,
     figures: Path | str | None = None,
@@ -162,6 +165,8 @@ def fit(
         constancy_weight: weight of a network's constant-in, constant-out term; S2 has 1e-4.
         seed: seed of everything drawn at random.
         limits: command limits of the device; those of the trials if left out, also for a part that is None.
+        inputs: with auto: measured input of the logs on which friction, gain, offset and time constants may depend; as
+            NAME=LOW:HIGH also where its dependence is to hold beyond the logs.
         test: log or folder to score on, which the fit does not see.
         report: write one page with tables and figures here, .html.
         figures: new folder for every figure of the report: SVG, PDF, and its data as CSV.
@@ -180,23 +185,22 @@ def fit(
 
     chosen = chosen_kind(kind, None if drive is None else str(drive), residual)
     logs, tests, read = as_list(trials), as_list(test), partial(_read, layout, rate_hz, sampled_hz)
-    files = [*(seen := files_read(logs, layout)), *_unseen(tests, seen)]
+    (names, ranges), files = _inputs(inputs), [*(seen := files_read(logs, layout)), *_unseen(tests, seen)]
     if out is not None:
         check_output("--out", out, (MODEL, SIMULATOR)[: 1 + chosen.readable], files, force, of=chosen.name)
     check_page(report, figures, files, force)
-    judges = read(as_list(validation)) if validation != () else []
-    judges = [trial.swapped() if inverse else trial for trial in judges]
+    judges = _turned(read(as_list(validation)) if validation != () else [], inverse)
     request = FitRequest(
-        training or chosen.usual_training(inverse), seed, steps, hold_out, tuple(judges), constancy_weight, plays,
-        skip_first_flexure, _device_limits(limits),
+        training or chosen.usual_training(inverse), seed, steps, hold_out, judges, constancy_weight, plays,
+        skip_first_flexure, _device_limits(limits), ranges,
     )  # fmt: skip
     chosen.check([], request)
-    recorded, held = read(logs, say), read(tests, say) if tests else []
+    recorded, held = _with_inputs(read(logs, say), read(tests, say) if tests else [], names, say)
     if (both := both_axes(recorded)) is not None:
         only_one = {"inverse": inverse, "drive": drive, "residual": residual, "report": report, "figures": figures}
-        return cast(Fit, fit_both(chosen, both, held, request, out, only_one, progress))
+        return cast(Fit, fit_both(chosen, both, held, request, out, only_one | {"input": names}, progress))
     _warn_of_limits([*recorded, *held], request.limits.command, say)
-    used = tuple(trial.swapped() if inverse else trial for trial in recorded)
+    used = _turned(recorded, inverse)
     done = _identify(chosen, used, request, progress, say)
     made = Fit(kind, done, used, exported=None if out is None else _written(done, Path(out), progress))
     if out is None and report is None and not held:
@@ -204,6 +208,34 @@ def fit(
     sets = {which: part for which, part in ((SEEN, recorded), (UNSEEN, held)) if part}
     with figures_to(figures):
         return _scored(made, out, sets, skip_first_flexure, report, progress)
+
+
+def _turned(trials: Iterable[Trial], inverse: bool) -> tuple[Trial, ...]:
+    return tuple(trial.swapped() if inverse else trial for trial in trials)
+
+
+def _inputs(texts: Iterable[str]) -> tuple[tuple[str, ...], dict[str, tuple[float, float]]]:
+    """Names of inputs, and the ranges that are given, from NAME or NAME=LOW:HIGH."""
+    names, ranges = list[str](), dict[str, tuple[float, float]]()
+    for text in texts:
+        name, sign, ends = text.partition("=")
+        names.append(name)
+        if sign:
+            match = _RANGE.fullmatch(ends)
+            low, high = (float(end) for end in match.groups()) if match else (0.0, 0.0)
+            if not low < high:
+                raise ConfigError(f"--input {text}: expected NAME or NAME=LOW:HIGH, such as pressure_bar=0:8")
+            ranges[name] = low, high
+    return tuple(names), ranges
+
+
+def _with_inputs(
+    recorded: list[Trial], held: list[Trial], names: Sequence[str], say: Say | None
+) -> tuple[list[Trial], list[Trial]]:
+    """Trials with the inputs that are asked for; `say` gets a note on one that is not."""
+    if say is not None and (unused := sorted({name for trial in recorded for name in trial.inputs} - set(names))):
+        say(f"note: the logs name the input {unused[0]}; `fit auto --input {unused[0]}` lets the model depend on it")
+    return [trial.with_inputs(names) for trial in recorded], [trial.with_inputs(names) for trial in held]
 
 
 def _scored(

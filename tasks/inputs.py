@@ -66,7 +66,7 @@ def chain_or_model(model: Model) -> Simulator | LoadedModel:
     """Return the chain of operators of a model, or a network as it is.
 
     Raises:
-        ModelError: if a file has another ending, or cannot be opened.
+        ModelError: if a file has another ending, cannot be opened, or depends on measured inputs.
     """
     from hystmpc.models.load import model_path
     from hystmpc.models.simulator import ChainModel
@@ -76,6 +76,8 @@ def chain_or_model(model: Model) -> Simulator | LoadedModel:
         ending = path.suffix.lower() or "missing"
         raise ModelError(f"--sim {path}: ending {ending}, expected .yaml, .onnx or builtin:NAME")
     runs = opened(model)
+    if names := ", ".join(one.name for one in runs.inputs):
+        raise ModelError(f"--sim: the simulator depends on {names}, a diagnosis expects one without measured inputs")
     return runs.simulator if isinstance(runs, ChainModel) else runs
 
 

@@ -41,7 +41,8 @@ def check(log: Log, layout: AnyLayout = "auto", sampled_hz: float | None = None)
     """
     if isinstance(log, Trial):
         t = log.t if sampled_hz is None else even_time(len(log), sampled_hz)
-        return _report(UncheckedLog(t, log.command, log.angle, log.channels, log.units, log.source))
+        signals = t, log.command, log.angle, log.channels, log.units, log.source
+        return _report(UncheckedLog(*signals, inputs=log.inputs))
     layout = resolve(layout)
     return _report(read_unchecked(log, layout, sampled_hz), layout if sampled_hz is None else None)
 
@@ -87,7 +88,7 @@ def _short(t: Vec) -> Iterator[Finding]:
 
 def _value_findings(log: UncheckedLog) -> Iterator[Finding]:
     clean = True
-    main = {"time": log.t, "command": log.command, "angle": log.angle}
+    main = {"time": log.t, "command": log.command, "angle": log.angle, **log.inputs}
     for name, values in {**main, **log.channels}.items():
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
@@ -97,6 +98,11 @@ def _value_findings(log: UncheckedLog) -> Iterator[Finding]:
             yield Finding(severity, "values", message)
     if clean:
         yield Finding(Severity.OK, "values", f"{log.t.size} samples, all finite")
+    for name, values in log.inputs.items():
+        if (usable := values[np.isfinite(values)]).size:
+            low, high, mean = float(usable.min()), float(usable.max()), float(usable.mean())
+            seen = f"constant at {low:.4g}" if low == high else f"{low:.4g} to {high:.4g}, {mean:.4g} in the mean"
+            yield Finding(Severity.OK, "input", f"{name}: {seen}")
 
 
 def require_sound(trial: Trial) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from fnmatch import fnmatch
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Literal
@@ -289,12 +290,52 @@ class AngleSettings(SignalSettings):
     unit: UnitName = "deg"
 
 
+class InputSettings(SignalSettings):
+    """A measured input: a signal, or one number for a whole log that was recorded at a constant value.
+
+    Attributes:
+        value: the number; a number alone in place of the block says the same.
+        by_file: the number of each log, by the pattern of its file's name: `{"*_1bar.tsv": 1.0}`.
+    """
+
+    signal: str = ""
+    value: float | None = None
+    by_file: dict[str, float] = Field(default_factory=dict)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _number_alone(cls, data: Any) -> Any:
+        return {"value": data} if isinstance(data, int | float) and not isinstance(data, bool) else data
+
+    @model_validator(mode="after")
+    def _one_source(self) -> InputSettings:
+        if (self.signal != "") + (self.value is not None) + bool(self.by_file) != 1:
+            raise ValueError("expected one of `signal: NAME`, `value: NUMBER` and `by_file: {PATTERN: NUMBER}`")
+        if self.value is not None and not math.isfinite(self.value):
+            raise ValueError(f"value is {self.value}, expected a finite number")
+        return self
+
+    def number(self, path: str) -> float | None:
+        """The constant value for a log, None where it is a signal.
+
+        Raises:
+            LogError: if no pattern, or several, fit the name of the file.
+        """
+        if not self.by_file:
+            return self.value
+        fitting = [value for pattern, value in self.by_file.items() if fnmatch(Path(path).name, pattern)]
+        if len(fitting) != 1:
+            raise LogError(f"{path}: {len(fitting)} patterns of `by_file` fit, expected one of {few(self.by_file)}")
+        return fitting[0]
+
+
 class LogMapping(Settings):
-    """Mapping of the signals of a log to time, command, angle and channels.
+    """Mapping of the signals of a log to time, command, angle, channels and measured inputs.
 
     Attributes:
         command, angle: the two signals that every trial has.
         channels: further signals under the names they get.
+        inputs: measured signals on which the device depends, such as a pressure, under the names they get.
         time: a signal that holds time; or `log` (when a message was logged) or `header` (`header.stamp`).
         time_unit: unit of a time signal; `d` are days, as spreadsheets have them.
         time_wraps_at: modulus of a time signal that is a counter, in its unit, such as 65536 or 4294967296.
@@ -305,6 +346,7 @@ class LogMapping(Settings):
     command: CommandSettings
     angle: AngleSettings
     channels: dict[str, SignalSettings] = Field(default_factory=dict)
+    inputs: dict[str, InputSettings] = Field(default_factory=dict)
     time: Annotated[str, Field(min_length=1)] = LOG_TIME
     time_unit: Literal["s", "ms", "us", "ns", "min", "h", "d"] = "s"
     time_wraps_at: Positive | None = None
@@ -317,8 +359,8 @@ class LogMapping(Settings):
         return "mapping"
 
     def signals(self) -> tuple[SignalSettings, ...]:
-        """Command, angle and channels, in this order."""
-        return (self.command, self.angle, *self.channels.values())
+        """Command, angle, channels and the inputs that are signals, in this order."""
+        return (self.command, self.angle, *self.channels.values(), *(i for i in self.inputs.values() if i.signal))
 
 
 def is_mapping_file(layout: str) -> bool:

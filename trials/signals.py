@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -84,6 +84,7 @@ class UncheckedLog:
     note: str = ""
     ranges: tuple[tuple[float, float] | None, tuple[float, float] | None] = (None, None)  # plausible; None for any
     cells: Cells | None = None
+    inputs: Mapping[str, Vec] = field(default_factory=dict)
 
     def where(self, sample: int) -> str:
         """Text on the place of a sample for messages: `row 7` of a table, otherwise `sample 5`."""
@@ -98,7 +99,7 @@ class UncheckedLog:
         """
         if self.cells is not None:
             _require_valid(self, self.cells)
-        return Trial(self.t, self.command, self.angle, self.channels, self.units, self.source)
+        return Trial(self.t, self.command, self.angle, self.channels, self.units, self.source, inputs=self.inputs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,15 +300,20 @@ def _joined(source: SignalLog, mapping: LogMapping, logged: Sequence[Series]) ->
     signals[k] = settings.scale * base.values[inside] + settings.offset
     unit, factor = COMMAND_UNIT_OF.get(mapping.command.unit, (mapping.command.unit, 1.0))
     angle_unit, angle_factor = ANGLE_UNIT_OF.get(mapping.angle.unit, (mapping.angle.unit, 1.0))
+    others = iter(signals[2:])
     return UncheckedLog(
         t,
         factor * signals[0],
         angle_factor * signals[1],
-        dict(zip(mapping.channels, signals[2:], strict=True)),
+        {name: next(others) for name in mapping.channels},
         Units(unit, angle_unit, inverse=False),
         source.path,
         mapping.name,
         source.note,
+        inputs={
+            name: next(others) if (value := settings.number(source.path)) is None else np.full(t.size, value)
+            for name, settings in mapping.inputs.items()
+        },
     )
 
 

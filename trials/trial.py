@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from .brief import in_brief
 from .clocks import counter_wrap, interval_of
-from .errors import ConfigError, LogError
+from .errors import ConfigError, LogError, did_you_mean
 from .types import Vec
 
 if TYPE_CHECKING:
@@ -181,6 +181,21 @@ class Trial:
         changed = {key: {name: change(v) for name, v in given.items()} for key, given in mappings.items()}
         return replace(self, **{**signals, **changed, **fields})
 
+    def with_inputs(self, names: Sequence[str]) -> Trial:
+        """Return the trial with exactly these measured inputs, in this order; they and channels change places.
+
+        Raises:
+            LogError: if the log has no such signal, or one of its values is not finite.
+        """
+        known = {**self.channels, **self.inputs}
+        for name in names:
+            if name not in known:
+                raise LogError(
+                    f"{self.source}: no input {name!r}, {did_you_mean(name, known)}; a mapping file names it"
+                )
+        channels = {name: values for name, values in known.items() if name not in names}
+        return replace(self, channels=channels, inputs={name: known[name] for name in names})
+
     def plot(self) -> Figure:
         """Draw angle and command over time, and the angle over the command: the hysteresis loop."""
         from .report import COMMAND, MEASURED, new_figure  # matplotlib takes longer to import than a trial to read
@@ -206,6 +221,8 @@ class Trial:
             "command": f"{u.min():.4g} to {u.max():.4g} {self.units.command}",
             "angle": f"{y.min():.4g} to {y.max():.4g} {self.units.angle}",
         }
+        if self.inputs:
+            rows["inputs"] = ", ".join(f"{k} {v.min():.4g} to {v.max():.4g}" for k, v in self.inputs.items())
         if self.channels:
             rows["channels"] = ", ".join(self.channels)
         return Report(f"Trial {self.source}", (KeyValues(rows), Plot(self.plot()))).fragment()

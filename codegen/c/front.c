@@ -32,6 +32,14 @@ int hystmpc_look_on(hystmpc_controller *c, hystmpc_real angle_deg, hystmpc_real 
     return hystmpc_controller_look_on(&exported_problem, memory_of(c), angle_deg, command, room_of(c));
 }
 
+int hystmpc_input(hystmpc_controller *c, int input, hystmpc_real value) {
+    int taken = 0;
+    for (int k = 0; exported_inputs[k][0] >= 0; k++)
+        if (exported_inputs[k][0] == input)
+            taken |= hystmpc_controller_input(&exported_problem, memory_of(c), exported_inputs[k][1], value);
+    return taken;
+}
+
 void hystmpc_hurry(hystmpc_controller *c) { hystmpc_controller_hurry(&exported_problem, memory_of(c)); }
 
 void hystmpc_stop(hystmpc_controller *c) { hystmpc_controller_stop(&exported_problem, memory_of(c)); }

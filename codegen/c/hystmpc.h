@@ -57,6 +57,11 @@ void hystmpc_set_target(hystmpc_controller *c, hystmpc_real angle_deg);
  * not-a-number. 1, or 0 where it cannot be used: it is too old, of the future, no usable angle, or nothing has been started. */
 int hystmpc_measure(hystmpc_controller *c, hystmpc_real angle_deg, hystmpc_real age);
 
+/* The present value of a measured input of the model, HYSTMPC_INPUT_NAME: it holds over the preview until the next one;
+ * after a start the identified value holds. 1, or 0 where it is no finite number, there is no such input, or nothing has been
+ * started: then nothing changes. Values beyond the identified range count as its nearest end. */
+int hystmpc_input(hystmpc_controller *c, int input, hystmpc_real value);
+
 /* One sample in which another has sent `command`: the controller looks on, and knows the hysteresis when it takes over.
  * The next command is limited from that one: from the nearest within the limits, or from the last where it is no number.
  * Answers for how many samples the model has failed, 0 where it has not, 1 where nothing has been started. */

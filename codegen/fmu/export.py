@@ -180,6 +180,8 @@ def _check(simulator: Simulator, version: str) -> None:
         raise ExportError(f"export-fmu: got FMI {version}, expected 2.0 or 3.0")
     if simulator.metadata().inverse:
         raise ExportError("export-fmu: got an inverse map, supported are simulators of a device: command to angle")
+    if names := ", ".join(one.name for one in simulator.chain.inputs):
+        raise ExportError(f"export-fmu: the simulator depends on {names}, supported are those without measured inputs")
     if any(isinstance(operator, Sensor) for operator in simulator.chain.operators):
         raise ExportError("export-fmu: got a sensor in the chain, supported is the true angle: take the sensor out")
 

@@ -46,7 +46,8 @@ def gains_by_margin(
     plant = model.response(amplitude)
     if not np.all(np.abs(plant) > 0.0):
         raise ControllerError(f"pid: got no answer of the model to {amplitude[0]:.4g} around {device.command:.4g}")
-    lag = sum(o.tau_s for o in (*device.drive, *device.model.operators) if isinstance(o, Lag | Servo))
+    drives = (o.inner for o in (*device.drive, *device.model.operators))
+    lag = sum(o.tau_s for o in drives if isinstance(o, Lag | Servo))
     unit = PidSettings(kp_per_deg=lag, ki_per_deg_s=1.0, dead_zone_deg=0.0)
     ones = np.ones_like(plant, dtype=np.float64)
     loop = (plant * controller_response(unit, dt, model.frequencies, ones, device.delay_samples))[:, 0]

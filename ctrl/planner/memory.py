@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike
 from hystmpc.models.model import Predictor
 from hystmpc.trajectories.motion import Kinematics
 from hystmpc.trials.brief import brief, in_brief
-from hystmpc.trials.errors import ControllerError, shown
+from hystmpc.trials.errors import ControllerError, did_you_mean, shown
 from hystmpc.trials.types import Vec
 
 from ..command import Command, CommandLimits, Source, attempt, number_of, numbers_of, replace
@@ -20,6 +21,8 @@ from ..estimation.observer import usable_angle
 from .reference import Reference, ReferenceRequest, rest_reference
 
 if TYPE_CHECKING:
+    from hystmpc.models.scheduled import MeasuredInput
+
     from ..guarded import GuardedController, GuardedState
 
 _SAME_COMMAND = 1e-6  # of the command's range: two records of one command may differ by it
@@ -38,6 +41,8 @@ class Snapshot:
         control: the controller's own state; None before the first usable measurement.
         reference: present reference; None before that.
         request: reference from the first usable measurement on.
+        inputs: last usable value of each measured input.
+        unmeasured: whether it was said that an input has no value yet.
     """
 
     origin: str
@@ -48,6 +53,8 @@ class Snapshot:
     reference: Reference | None = None
     request: ReferenceRequest | None = None
     halted: bool = False
+    inputs: Mapping[str, float] = field(default_factory=dict)
+    unmeasured: bool = False
     __repr__ = brief
 
     @property
@@ -107,6 +114,44 @@ def try_to_start(memory: Snapshot, controller: GuardedController, y: object) -> 
     if math.isnan(angle):
         reason = "no usable measurement yet; reset(angle) declares the angle of rest"
     return after or replace(memory, command=Command(memory.command.u, Source.HOLD, f"not started: {reason}"))
+
+
+def with_inputs(
+    memory: Snapshot, controller: GuardedController, known: Sequence[MeasuredInput], given: object
+) -> tuple[Snapshot, str]:
+    """Return the snapshot with the usable values of measured inputs, and what there is to say of the others.
+
+    An input without a usable value keeps its last one; without any, that of the identification counts, which is said
+    once. A value beyond the range of the identification counts as the nearest one.
+    """
+    if not known and given is None:
+        return memory, ""
+    names, notes = {one.name: one for one in known}, list[str]()
+    if not isinstance(given, Mapping | None):
+        notes.append(f"inputs: got {shown(given, 40)}, expected a mapping of numbers by name")
+        given = None
+    values = dict(memory.inputs)
+    for name, value in (given or {}).items():
+        number = number_of(value)
+        if name not in names:
+            notes.append(f"inputs: no {shown(name, 40)}, {did_you_mean(str(name), names)}")
+        elif number is None or not math.isfinite(number):
+            last = "its last value holds" if name in values else "the identified one counts"
+            notes.append(f"input {name}: got {shown(value, 40)}, expected a finite number; {last}")
+        else:
+            values[name] = number
+            one = names[name]
+            if not one.lower <= number <= one.upper:
+                notes.append(
+                    f"input {name}: {number:.4g}, identified {one.lower:.4g} to {one.upper:.4g}: the nearest counts"
+                )
+    missing = [f"{one.name} {one.reference:.4g}" for one in known if one.name not in values]
+    if missing and not memory.unmeasured and memory.control is not None:
+        notes.append(f"inputs: none given of {', '.join(missing)}, the identified value counts")
+        memory = replace(memory, unmeasured=True)
+    if memory.control is not None and values:
+        memory = replace(memory, control=controller.with_inputs(memory.control, values))
+    return replace(memory, inputs=values), "; ".join(notes)
 
 
 def set_request(memory: Snapshot, request: ReferenceRequest, dt: float, start: Kinematics) -> Snapshot:

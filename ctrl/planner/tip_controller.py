@@ -40,6 +40,7 @@ from .memory import (
     tip_plan,
     tip_state,
     try_to_start,
+    with_inputs,
 )
 from .reach import Reach
 from .reference import ReferenceRequest, given_request, waypoint_request
@@ -123,14 +124,26 @@ class TipController:
         """Sample time [s]."""
         return self._controller.dt
 
-    def step(self, measured_theta_deg: float, refusal: str = "") -> Command:
+    def step(self, measured_theta_deg: float, refusal: str = "", inputs: Mapping[str, float] | None = None) -> Command:
         """Compute the command to send now, and advance the clock by one sample.
 
         Args:
             measured_theta_deg: present tip angle [deg]; NaN if there is none. The first usable one starts the
                 controller at rest there; until then the start command is held.
             refusal: why there is no time for a plan in this sample: the fallbacks answer, and the status tells why.
+            inputs: present values of measured inputs of the model by name, held over the preview. One that is left out
+                or no finite number keeps its last value, or that of the identification, and the status tells it.
         """
+        with self._lock:
+            self._memory, said = with_inputs(self._memory, self._controller, self._assembly.predictor.inputs, inputs)
+        command = self._stepped(measured_theta_deg, refusal)
+        return (
+            replace(command, status=said if command.status == "ok" else f"{command.status}; {said}")
+            if said
+            else command
+        )
+
+    def _stepped(self, measured_theta_deg: float, refusal: str) -> Command:
         for _ in range(_ROUNDS):
             with self._lock:
                 memory = self._memory
@@ -317,6 +330,7 @@ class TipController:
             if command is not None:
                 held = require_within(command, self._assembly.limits, "reset: got command")
             memory = initial_snapshot(self._origin, held, command is None and self._memory.sent)
+            memory = replace(memory, inputs=self._memory.inputs)
             if measured_theta_deg is not None:
                 angle = require_number(measured_theta_deg, "reset: angle")
                 memory = start_control(memory, self._controller, angle)
@@ -342,7 +356,7 @@ class TipController:
         with self._lock:
             present = self._memory
             holds = held_after_replay(memory, present, self._assembly.limits) if said is None else said
-            self._memory = take_up(memory, present, self._controller, holds)
+            self._memory = take_up(replace(memory, inputs=present.inputs), present, self._controller, holds)
 
     def snapshot(self) -> Snapshot:
         """Return a snapshot of the whole state, which with the inputs determines all future commands."""

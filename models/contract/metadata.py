@@ -260,6 +260,16 @@ class ModelMetadata(Settings):
         return rest_within(self.rest_command, self.command_limits.lower, self.command_limits.upper)
 
     @property
+    def by_inputs(self) -> bool:
+        """Whether parameters of its operators depend on measured inputs, see `models.scheduled`."""
+        sides = (
+            ()
+            if self.chain is None
+            else (*self.chain.get("before", ()), self.chain["core"], *self.chain.get("after", ()))
+        )
+        return any("depends_on" in operator for operator in sides)
+
+    @property
     def state_size(self) -> int:
         """Number S of state entries."""
         return len(self.initial.offset)

@@ -13,6 +13,7 @@ import numpy as np
 from hystmpc.trials.types import Vec
 
 from ..operators.operator import Operator
+from ..scheduled import Dependence
 
 Side = Literal["command", "output"]
 CORE = "core"  # variant of an effect that is a free parameter of the core instead of an operator
@@ -116,6 +117,7 @@ class Candidate:
         starts: starting values of the free parameters; never exactly neutral, where a shape parameter would have no
             gradient.
         carries: memory taken over from earlier trials: `bend` for a running maximum, `clock`, or nothing.
+        depends: dependence of present operators on a measured input; then there are no operators.
     """
 
     effect: str
@@ -126,6 +128,7 @@ class Candidate:
     free: tuple[Freedom, ...]
     starts: tuple[tuple[float, ...], ...]
     carries: Literal["", "bend", "clock"] = ""
+    depends: Dependence | None = None
 
     @property
     def label(self) -> str:

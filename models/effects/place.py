@@ -9,9 +9,9 @@ from typing import Any
 
 from hystmpc.trials.errors import ModelError, did_you_mean
 
-from ..chain import Chain, is_number, names_of, operator_spec, template_from
+from ..chain import Chain, names_of, operator_spec, template_from
 from ..operators.dynamics import Delay
-from ..operators.operator import Operator, Parameter
+from ..operators.operator import Operator, Parameter, is_number
 from .catalogue import EFFECTS
 from .effect import Effect, Side, base_name, unit_on
 

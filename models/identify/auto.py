@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +22,7 @@ from .chain_fit import no_result
 from .cross_validation import Hypothesis, gain
 from .estimation_noise import estimation_noise
 from .least_squares import one_blas_thread
-from .parts import whole_delay
+from .parts import NO_RANGES, Ends, varies, whole_delay
 from .runs import Run, check_trial_set, command_range, ordered, runs_to_fit
 from .uncertainty import ParameterRow, parameter_rows
 
@@ -66,6 +66,7 @@ def identify_auto(
     trials: Sequence[Trial],
     skip_first_flexure: bool = False,
     progress: SearchProgress = lambda share, rmse: None,
+    ranges: Mapping[str, Ends] = NO_RANGES,
 ) -> AutoFit:
     """Identify drive, creep and hysteresis of a device jointly, each in the simplest form that explains the trials.
 
@@ -76,9 +77,11 @@ def identify_auto(
     sensors are often zeroed anew. The result does not depend on the order of the trials.
 
     Args:
-        trials: uniformly sampled at one rate, in one pair of units; ramps, sines, or steps of a few values alone.
+        trials: uniformly sampled at one rate, in one pair of units; ramps, sines, or steps of a few values alone. All
+            have the same measured inputs, on which friction, gain, offset and time constants may depend.
         skip_first_flexure: leave out each trial up to the first reversal of its command.
         progress: called with the completed share and the best error; KeyboardInterrupt keeps the best so far.
+        ranges: of measured inputs over which their dependences are to hold; those of the trials where left out.
 
     Raises:
         FitError: on unusable trials, or an angle that falls with the command.
@@ -90,22 +93,28 @@ def identify_auto(
         skip_first_flexure,
         lambda share, rmse: progress(share, rmse * decades.angle),
         decades,
+        ranges,
     )
 
 
 def _identified(
-    trials: Sequence[Trial], skip_first_flexure: bool, progress: SearchProgress, decades: Decades
+    trials: Sequence[Trial],
+    skip_first_flexure: bool,
+    progress: SearchProgress,
+    decades: Decades,
+    ranges: Mapping[str, Ends],
 ) -> AutoFit:
     coarse = _thinned(trials, check_trial_set(trials))
     runs = runs_to_fit(coarse, skip_first_flexure)
     refit_share = 0.0 if coarse is trials else _REFIT_SHARE * sum(map(len, trials)) / sum(map(len, coarse))
     share, command = 1 / (1 + refit_share), command_range(trials)  # share of the whole duration
-    last = search = AutoSearch(coarse, runs, lambda done, rmse: progress(share * done, rmse))
+    last = search = AutoSearch(coarse, runs, lambda done, rmse: progress(share * done, rmse), ranges=ranges)
     device, parameters = _searched(search, command)
     rows: tuple[PartRow, ...] = ()
     if coarse is not trials:
         full = runs_to_fit(trials, skip_first_flexure)
-        last = AutoSearch(trials, full, lambda done, rmse: progress(share + (1 - share) * done, rmse), search.terms)
+        tell: SearchProgress = lambda done, rmse: progress(share + (1 - share) * done, rmse)  # noqa: E731
+        last = AutoSearch(trials, full, tell, search.terms, ranges)
         try:
             device, parameters = _at_full_rate(last, device, parameters, command)
         except KeyboardInterrupt:  # the model of the search must not be used: its delay's store fits another rate
@@ -129,7 +138,7 @@ def _identified(
         parameters,
         search.offsets,
         decades.log_noise(noise),
-        tuple(_advice(parameters, trials[0].units, unsure)),
+        (*_advice(parameters, trials[0].units, unsure), *_on_inputs(trials, device)),
         decades,
         search.interrupted,
     )
@@ -179,7 +188,7 @@ def _with_meaning(
 
     An effect that stays is of use for predictions. Its interval says that it may be another one, or none.
     """
-    lost, required, searched = set[str](), set[tuple[str, str]](), device
+    lost, required, searched = set[str](), device.hidden, device
     while nothing := without_meaning(device, rows, command, required):
         part, effect = nothing
         reduced = reduced_by(device, part, effect, {*lost, part})
@@ -239,12 +248,25 @@ def _advice(parameters: Sequence[ParameterRow], units: Units, unsure: Collection
             value = f"{row.value:.4g} {units.named(row.unit)}".rstrip()
             way = "more" if math.isinf(row.ci90[1]) else "less"
             yield f"{what}: {row.name} {value} is at the end of what was searched; it may be {way}"
-        motions = [MOTIONS_THAT_SEPARATE[kind] for kind in EFFECTS[owner].separated_by]
+        known = EFFECTS.get(owner)  # none of a dependence on an input
+        motions = [MOTIONS_THAT_SEPARATE[kind] for kind in (known.separated_by if known else ())]
         record = f"; record {' and '.join(motions)}" if motions else ""
         if owner in unsure:
             yield f"{what}: it lowers the error on trials left out, but may be another effect or none{record}"
         elif names := ", ".join(r.name for r in rows_of_effect if r.flat and not r.at_bound):
             yield f"{what}: {names} not identifiable from these logs{record}"
+
+
+def _on_inputs(trials: Sequence[Trial], device: Choice) -> Iterator[str]:
+    """Lines on inputs on which nothing depends in the end."""
+    used = {c.depends.input.name for form in device.forms.values() for c in form if c.depends is not None}
+    for name in trials[0].inputs:
+        values = np.concatenate([trial.inputs[name] for trial in trials])
+        if not varies(values):
+            seen = f"{values.min():.4g} to {values.max():.4g}"
+            yield f"{name}: not determined: the input hardly varies ({seen}); record trials over its range"
+        elif name not in used:
+            yield f"{name}: no dependence on it lowers the error on trials left out"
 
 
 _WIDENING = 1.5  # factor k on the intervals
@@ -334,10 +356,10 @@ def without_meaning(
 
 def _perhaps_none(choice: Choice, parameters: Sequence[ParameterRow], command: Range) -> frozenset[str]:
     """Effects whose intervals include their neutral value."""
-    seen = set[tuple[str, str]]()
+    seen = choice.hidden
     while nothing := without_meaning(choice, parameters, command, seen):
         seen.add(nothing)
-    return frozenset(effect for _, effect in seen)
+    return frozenset(effect for _, effect in seen - choice.hidden)
 
 
 def _may_do_nothing(numbers: Sequence[tuple[ParameterRow, Freedom]], command: Range) -> bool:

@@ -22,7 +22,20 @@ from .baseline import FreeCoreBaseline
 from .chain_fit import no_result
 from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, fit_problem, gain, sureness
 from .least_squares import side_by_side
-from .parts import CoreForm, Form, core_forms, dead_time, device_parts, plain_of, split_delay, straight, whole_delay
+from .parts import (
+    NO_RANGES,
+    CoreForm,
+    Ends,
+    Form,
+    core_forms,
+    dead_time,
+    device_parts,
+    input_parts,
+    plain_of,
+    split_delay,
+    straight,
+    whole_delay,
+)
 from .problem import Problem, TrialTerms
 from .runs import Blocks, Run, angle_range, command_range
 
@@ -113,6 +126,12 @@ class Choice:
         return self.judged.hypothesis
 
     @property
+    def hidden(self) -> set[tuple[str, str]]:
+        """Parts and effects of which held-out errors say nothing: offsets by an input beside those of trials."""
+        offsets = {(name, c.effect) for name, form in self.forms.items() for c in _offsets(form)}
+        return offsets if offsets and self.hypothesis.problem.terms.trial_offset else set()
+
+    @property
     def rmse_deg(self) -> float:
         """Root mean square error on held-out trials [deg]."""
         return math.sqrt(self.judged.mse)
@@ -155,11 +174,14 @@ class AutoSearch:
         runs: Sequence[Run],
         progress: SearchProgress,
         terms: TrialTerms | None = None,
+        ranges: Mapping[str, Ends] = NO_RANGES,
     ) -> None:
         self.runs, self._progress = tuple(runs), progress
         scale = Scale.of(runs)
-        self._cores, self._parts = core_forms(trials, scale), device_parts(scale, dead_time(runs))
-        self._names = (*(part.name for part in self._parts), _CORE)
+        self._cores, inputs = core_forms(trials, scale), input_parts(trials, scale, ranges)
+        self._parts = (*device_parts(scale, dead_time(runs)), *inputs)
+        self._inputs = tuple(part.name for part in inputs)  # first of all: what they explain looks like anything else
+        self._names = (*self._inputs, *(p.name for p in self._parts if p not in inputs), _CORE)
         self._command = command_range(trials)
         self._box = search_box(self._command, angle_range(trials))
         self._done, self._planned, self._weight = 0.0, 1.0, 1.0  # in starting points of fits
@@ -177,19 +199,23 @@ class AutoSearch:
         core, none = self._cores[-1], self._none()
         try:
             self.terms = self._terms_of_trials()
-            present = self._judged(core, none, self._fitted(core, none, None))
+            present = rich = self._judged(core, none, self._fitted(core, none, None))
         except KeyboardInterrupt:
             raise no_result("the first core", interrupted=True) from None
         try:
-            parts = tuple(part.name for part in self._parts)
-            open_forms = [a for name in (*self._names, *parts) for a in self._alternatives(name, present)]
+            parts = tuple(name for name in self._names[:-1] if name not in self._inputs)
+            names = (*parts, _CORE, *parts, *(2 * self._names if self._inputs else ()))
+            open_forms = [a for name in names for a in self._alternatives(name, present)]
             self._plan(open_forms, present, _ROUNDS)
-            present = self._rounds(present, self._names)
+            present = self._rounds(present, (*parts, _CORE))
             line = self._judged(self._cores[0], none, self._fitted(self._cores[0], none, None))
             self._rounds(line, parts)
             chosen = self._simplest_tried(present)
             if chosen.core is self._cores[0] is not present.core:
                 chosen = self._simplest_tried(self._reselected(_CORE, chosen))
+            if self._inputs:  # also from the richest core: without an input it may have been chosen by what that hides
+                ends = [self._rounds(start, self._names) for start in (rich, chosen)]
+                chosen = self._simplest_tried(min(ends, key=lambda end: end.judged.mse))
             chosen = self._with_one_zero(chosen)
             self._judge_plain_kinds(chosen.size)
             return self._finished(self.least_of_simpler(chosen))
@@ -246,6 +272,7 @@ class AutoSearch:
             if other.hypothesis.problem.terms == self.terms
             and other.size <= choice.size
             and parts.issuperset(_part_labels(other.forms))
+            and choice.hidden <= other.hidden
             and (not other.core.curve or other.core.label == choice.core.label)
         ]
         best = min([choice, *simpler], key=lambda other: other.judged.mse)
@@ -255,7 +282,9 @@ class AutoSearch:
         if name == _CORE:
             return [(core, present.forms) for core in self._cores]
         forms = next(part.forms for part in self._parts if part.name == name)
-        return [(present.core, present.forms | {name: form}) for form in forms]
+        if kept := _offsets(present.forms[name]) if self.offsets else ():
+            forms = tuple((*(c for c in form if c not in _offsets(form)), *kept) for form in forms)
+        return [(present.core, present.forms | {name: form}) for form in dict.fromkeys(forms)]
 
     def _with_one_zero(self, choice: Choice) -> Choice:
         """Device with one offset for all trials, where separate offsets do not lower the held-out error."""
@@ -263,10 +292,23 @@ class AutoSearch:
             return choice
         self.terms = replace(self.terms, trial_offset=False)
         plain = self._judged(choice.core, choice.forms, self._fitted(choice.core, choice.forms, choice))
+        for name in self._inputs:  # separate offsets have hidden one that depends on an input
+            plain = self._reselected(name, plain)
         if not worth(plain.judged, choice.judged):
             return plain
         self.terms = replace(self.terms, trial_offset=True)
-        return choice
+        return self._with_offsets_of(plain, choice)
+
+    def _with_offsets_of(self, plain: Choice, choice: Choice) -> Choice:
+        """Device of separate offsets whose mean depends on an input, where one offset for all trials does."""
+        values, forms = _values(plain.hypothesis), dict(choice.forms)
+        for name in self._inputs:
+            known = {c.effect for c in forms[name]}
+            more = (c for c in _offsets(plain.forms[name]) if c.effect not in known)
+            forms[name] += tuple(replace(c, starts=(tuple(values[c.label]),)) for c in more)
+        if forms == choice.forms:
+            return choice
+        return self._judged(choice.core, forms, self._fitted(choice.core, forms, choice))
 
     def refit_at_full_rate(self, choice: Choice) -> Choice:
         """Device of another rate refitted to these trials; its drive is selected from more samples."""
@@ -300,7 +342,8 @@ class AutoSearch:
         simpler = [f for f in forms if {c.effect for c in f} == whole and free_numbers(f) < free_numbers(present)]
         without = [f for f in forms if set(_names(f)) == rest]
         open_forms: list[Form] = [*without, *(simpler if len(_names(present)) == 1 else [])]
-        left = choice.forms | {part: max(open_forms, key=free_numbers)}
+        others = tuple(c for c in present if c.effect != effect)
+        left = choice.forms | {part: max(open_forms, key=free_numbers, default=others)}
         return self._polished(self._judged(choice.core, left, self._fitted(choice.core, left, choice)))
 
     def reselect_other_parts(self, choice: Choice, lost: Collection[str]) -> Choice:
@@ -328,8 +371,8 @@ class AutoSearch:
         """Device refitted without each part, None where there is no such part; a line replaces the core."""
         reduced: dict[str, Choice | None] = {}
         for name, form in choice.forms.items():
-            forms = {**choice.forms, name: ()}
-            fit = self._fitted(choice.core, forms, choice) if form else None
+            forms = {**choice.forms, name: _offsets(form) if self.offsets else ()}
+            fit = self._fitted(choice.core, forms, choice) if form != forms[name] else None
             reduced[name] = None if fit is None else self._judged(choice.core, forms, fit)
         plain, reduced[_CORE] = self._cores[0], None
         if choice.core.label != plain.label:
@@ -486,6 +529,11 @@ def _points(core: CoreForm, forms: Mapping[str, Form], present: Choice) -> int:
         return _FROM_AFAR * len(core.starts)
     held = _labels(present.core, present.forms)
     return math.prod(len(c.starts) for form in forms.values() for c in form if c.label not in held)
+
+
+def _offsets(form: Form) -> Form:
+    """Offsets that depend on an input; those of single trials hide what they are for."""
+    return tuple(c for c in form if c.depends is not None and c.depends.group == "offset")
 
 
 def _names(form: Form) -> tuple[str, ...]:

@@ -20,6 +20,7 @@ from .problem import Problem, TrialTerms
 from .runs import AS_IT_IS, Blocks, Run, RunsTogether, blocks_of
 
 _PARTS = 3  # of the time of a single run
+_ONE_VALUE = 0.1  # share of an input's range below which it counts as one value
 _TO_CONVERGENCE = (60, 1e-6)  # greatest number of evaluations, and tolerance
 _LEAST_ERROR = 1e-300
 _COMMON = 1.0  # weight, in samples, of the mean of the trials' terms
@@ -126,6 +127,8 @@ class _ErrorProducts:
         if common:
             mean = np.mean(common, axis=0)
             square += _COMMON * self._samples * mean.T @ mean
+            if self._problem.offsets_by_inputs:  # one sample each: enough for what the trials have in common
+                square += np.sum([row.T @ row for row in common], axis=0)
         return square
 
     def _pull(self, square: Vec, q: Vec) -> Vec:
@@ -281,18 +284,37 @@ class CrossValidation:
 
     @cached_property
     def _splits(self) -> tuple[tuple[tuple[Run, ...], dict[int, Run]], ...]:
-        """Runs to fit and held-out runs by number, for each fold; for a single run in time its thirds."""
-        if len(self.runs) > 1 or not self.in_time:
+        """Runs to fit and held-out runs by number, for each fold; in time, thirds of all runs.
+
+        Thirds are held out of a single run, and of runs of which a fold would keep one value of a measured input alone.
+        """
+        if (len(self.runs) > 1 and self._says_all) or not self.in_time:
             return tuple(
                 (tuple(run for k, run in enumerate(self.runs) if k not in fold), {k: self.runs[k] for k in fold})
                 for fold in self.folds
             )
-        run, splits = next(iter(self.runs)), []
-        for part in np.array_split(np.flatnonzero(run.counts), _PARTS):
-            third = np.zeros(run.counts.size, dtype=bool)
-            third[part] = True
-            splits.append(((replace(run, counts=run.counts & ~third),), {0: replace(run, counts=third)}))
-        return tuple(splits)
+        thirds = [
+            [np.isin(np.arange(run.counts.size), part) for part in np.array_split(np.flatnonzero(run.counts), _PARTS)]
+            for run in self.runs
+        ]
+        return tuple(
+            (
+                tuple(replace(run, counts=run.counts & ~at[j]) for run, at in zip(self.runs, thirds, strict=True)),
+                {k: replace(run, counts=thirds[k][j]) for k, run in enumerate(self.runs)},
+            )
+            for j in range(_PARTS)
+        )
+
+    @property
+    def _says_all(self) -> bool:
+        """Whether the runs beside each fold show more than one value of every measured input that varies."""
+        for name in self.runs[0].inputs:
+            ends = np.array([(run.inputs[name].min(), run.inputs[name].max()) for run in self.runs])
+            for fold in self.folds:
+                rest = np.delete(ends, fold, axis=0)
+                if rest.size and np.ptp(rest) < _ONE_VALUE * np.ptp(ends):
+                    return False
+        return True
 
     def judge(self, hypothesis: Hypothesis) -> HeldOutErrors:
         """Errors on each fold of a fit to the others; training errors of a single run that is not split."""

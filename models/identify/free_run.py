@@ -2,30 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import final
 
 import numpy as np
 
+from hystmpc.core.chain import ChainCode
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Index, Vec
 
 from ..chain import Chain
 from ..operators.dynamics import Delay
-from ..stages import chain_code
+from ..scheduled import Scheduled
+from ..stages import chain_code, driven_code
 from ..start import Runs, search_box
 from .runs import RunsTogether, angle_range, check_trial_set, command_range, runs_to_fit
 
 _ROUNDING = 1e-6  # share of a store, for a delay that fills it except for rounding
+
+Inputs = Mapping[str, Vec]
+"""Measured inputs by name."""
+NO_INPUTS: Inputs = MappingProxyType({})
 
 
 @final
 class StagedChain:
     """Free runs of a chain in the engine, batched, with exact sensitivities to all parameters.
 
-    Values equal the chain's `transition` to rounding.
+    Values equal the chain's `transition` to rounding. Measured inputs of the chain are given by name, with the shape of
+    the commands; further names are ignored. Without any, each input keeps the value in the state.
 
     Args:
         chain: its operators and their order; its values are used only where a call gives none.
@@ -46,6 +54,14 @@ class StagedChain:
             (columns.start, operator.samples) for operator, (_, columns) in places if isinstance(operator, Delay)
         ]
         self._core = len(chain.before)
+        self._inputs = tuple(given.name for given in chain.inputs)
+        self._driven = driven_code(chain.operators) if self._inputs else self._code
+        self._held = [  # inputs by number, and the parameters that are their values at rest
+            (self._inputs.index(given.name), columns.stop - len(operator.inputs) + k)
+            for operator, (_, columns) in zip(chain.operators, self._stages, strict=True)
+            if isinstance(operator, Scheduled)
+            for k, given in enumerate(operator.inputs)
+        ]
 
     def rest(self, command: Vec, angle: Vec, values: Vec | None = None) -> Vec:
         """States (S, N) at rest at commands (N,) [cmd] with output angles (N,) [deg], by the rule of `Chain.rest`.
@@ -69,7 +85,9 @@ class StagedChain:
             self._code.rest(k, u, still, seen, still, p[columns], seeds[columns], x[state], m[state])
         return x, m
 
-    def simulate(self, commands: Vec, dt_s: float, states: Vec, values: Vec | None = None) -> tuple[Vec, Vec]:
+    def simulate(
+        self, commands: Vec, dt_s: float, states: Vec, values: Vec | None = None, inputs: Inputs = NO_INPUTS
+    ) -> tuple[Vec, Vec]:
         """Simulate N rows freely.
 
         Args:
@@ -87,11 +105,26 @@ class StagedChain:
         p, x = self._rows(values, commands.shape[1]), np.array(states, dtype=np.float64, order="C")
         self._require_room(p, dt_s)
         one = values is None or np.ndim(values) == 1
-        kept = self._code.prepare(np.ascontiguousarray(p[:, :1]) if one else p, dt_s)
-        return self._code.simulate(kept, x, np.ascontiguousarray(commands, dtype=np.float64)), x
+        signals, code = self._signals(commands, inputs)
+        return code.simulate(code.prepare(np.ascontiguousarray(p[:, :1]) if one else p, dt_s), x, signals), x
+
+    def _signals(self, commands: Vec, inputs: Inputs) -> tuple[Vec, ChainCode]:
+        """Signals of the engine, (inputs, ...) where there are several, and the code that reads them."""
+        u = np.ascontiguousarray(commands, dtype=np.float64)
+        if not self._inputs or not inputs:
+            return u, self._code
+        if gone := [name for name in self._inputs if name not in inputs]:
+            raise ModelError(f"input {gone[0]}: not among those of the trials ({', '.join(inputs)}), expected in each")
+        return np.stack([u, *(np.broadcast_to(inputs[name], u.shape) for name in self._inputs)]), self._driven
 
     def settled(
-        self, command: Vec, angle: Vec, dt_s: float, values: Vec | None = None, seeds: Vec | None = None
+        self,
+        command: Vec,
+        angle: Vec,
+        dt_s: float,
+        values: Vec | None = None,
+        seeds: Vec | None = None,
+        inputs: Inputs = NO_INPUTS,
     ) -> tuple[Vec, Vec]:
         """States (S, N) at rest under constant commands with given output angles, and their derivatives (S, N, D).
 
@@ -104,20 +137,40 @@ class StagedChain:
             command: constant (N,) [cmd].
             angle: measured (N,) [deg].
             values: parameters (P,); the chain's where left out.
+            inputs: constant (N,) each.
         """
         p, seeds = self._rows(values, 1), self._seeds(seeds)
         self._require_room(p, dt_s)
         u, y = (np.ascontiguousarray(rest, dtype=np.float64) for rest in (command, angle))
-        return self._code.settle(self._code.prepare(p, dt_s), self._core, u, y, p, seeds)
+        if not self._held or not inputs:
+            return self._code.settle(self._code.prepare(p, dt_s), self._core, u, y, p, seeds)
+        x, m = np.empty((self.state_size, u.size)), np.empty((self.state_size, u.size, seeds.shape[1]))
+        levels, owner = np.unique(self._signals(u, inputs)[0][1:], axis=1, return_inverse=True)
+        for k, level in enumerate(levels.T):
+            rows, at = owner.ravel() == k, p.copy()
+            for j, place in self._held:
+                at[place] = level[j]
+            x[:, rows], m[:, rows] = self._code.settle(
+                self._code.prepare(at, dt_s), self._core, u[rows], y[rows], at, seeds
+            )
+        return x, m
 
-    def rollouts(self, dt_s: float, values: Vec) -> Runs:
-        """Free runs of the chain with parameters (P,), for `estimated_start`."""
+    def rollouts(self, dt_s: float, values: Vec, inputs: Inputs = NO_INPUTS, lead: int = 0) -> Runs:
+        """Free runs of the chain with parameters (P,), for `estimated_start`.
+
+        Args:
+            inputs: of the trial (T,); before it they have their first values.
+            lead: samples of the trial at the end of each run.
+        """
 
         def run(commands: Vec, angles: Vec, plans: Vec) -> Vec:
-            states = self.settled(commands, angles, dt_s, values, np.empty((self.parameter_count, 0)))[0]
+            first = {name: np.full(commands.size, z[0]) for name, z in inputs.items()}
+            states = self.settled(commands, angles, dt_s, values, np.empty((self.parameter_count, 0)), first)[0]
             if held := self.chain.rest_samples:
-                states = self.simulate(np.tile(commands, (held, 1)), dt_s, states, values)[1]
-            return self.simulate(plans.T, dt_s, states, values)[0].T
+                states = self.simulate(np.tile(commands, (held, 1)), dt_s, states, values, first)[1]
+            early = plans.shape[1] - lead
+            along = {name: np.r_[np.full(early, z[0]), z[:lead]][:, None] for name, z in inputs.items()}
+            return self.simulate(plans.T, dt_s, states, values, along)[0].T
 
         return run
 
@@ -130,6 +183,7 @@ class StagedChain:
         values: Vec | None = None,
         seeds: Vec | None = None,
         first: Index | None = None,
+        inputs: Inputs = NO_INPUTS,
     ) -> tuple[Vec, Vec]:
         """Simulate N concatenated free runs with derivatives in D directions.
 
@@ -146,10 +200,9 @@ class StagedChain:
         seeds, first = self._seeds(seeds), np.array([0, commands.size]) if first is None else first
         p = self._rows(values, 1)
         self._require_room(p, dt_s)
-        arrays = (np.ascontiguousarray(part, dtype=np.float64) for part in (commands, state, slope))
-        u, x, m = arrays
-        kept = self._code.prepare(p, dt_s)
-        return self._code.differentiate(kept, np.asarray(first, dtype=np.intc), u, None, seeds, x, m)
+        x, m = (np.ascontiguousarray(part, dtype=np.float64) for part in (state, slope))
+        u, code = self._signals(commands, inputs)
+        return code.differentiate(code.prepare(p, dt_s), np.asarray(first, dtype=np.intc), u, None, seeds, x, m)
 
     def _seeds(self, seeds: Vec | None) -> Vec:
         return np.eye(self.parameter_count) if seeds is None else np.ascontiguousarray(seeds, dtype=np.float64)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -21,8 +23,12 @@ from ..operators.operator import Operator
 from ..operators.prandtl_ishlinskii import PrandtlIshlinskii
 from ..operators.slow_changes import Creep
 from ..operators.static_curves import Line
+from ..scheduled import Dependence, MeasuredInput
 from .chain_kinds import falls, maxwell_slip_starts
 from .runs import Run
+
+Ends = tuple[float, float]
+NO_RANGES: Mapping[str, Ends] = MappingProxyType({})
 
 Form = tuple[Candidate, ...]
 """One alternative of a part: effects that are added together; empty for a device without that part."""
@@ -38,6 +44,8 @@ _QUICKEST_S = 0.1  # least relaxation time of the quick of two terms; a quicker 
 _BENT = "pi, 6 plays"  # core that is combined with a curve
 _SLACK = "slack/rounded"  # also before gradual plays: the bladder of a muscle has to meet its braid first
 _CURVES = ("nonlinear_gain/output", "asymmetry/output", "asymmetry/directional", _SLACK, "contact/output")
+_OF_CORE, _OF_DRIVE = ("friction", "gain", "offset"), ("time",)  # groups of parameters that may depend on an input
+_VARIES, _BETWEEN = 0.02, 0.1  # least range of an input by its size; least share of its samples in the middle half
 _PLAYS, _FEW, _MANY = 5, 4, 8  # number of curved plays, and of pieces in their curves
 _RADII = (0.02, 0.45)  # narrowest and widest play, as shares of the command's range
 
@@ -79,6 +87,54 @@ def device_parts(scale: Scale, late_s: float = 0.0) -> tuple[Part, ...]:
     creeps = ((), *((form,) for form in _creeps(known["creep/command"], scale)))
     valve = replace(known["nonlinear_gain/command"], variant="before the drive", order=_FIRST)
     return Part("drive", drives), Part("creep", creeps), Part("valve", ((), (valve,)))
+
+
+def input_parts(trials: Sequence[Trial], scale: Scale, ranges: Mapping[str, Ends] = NO_RANGES) -> tuple[Part, ...]:
+    """For each measured input that varies, its effects on the core, and that on the time constants of the drive.
+
+    A dependence is affine, or bent at the reference where the trials show values in the middle half of the range. The
+    reference is the median of the samples where that is one, else the middle of the range.
+
+    Args:
+        ranges: of inputs over which a dependence is to hold; that of the trials where left out or narrower.
+    """
+    parts: list[Part] = []
+    command, angle = (np.concatenate([getattr(t, name) for t in trials]) for name in ("command", "angle"))
+    for name in trials[0].inputs:
+        values = np.concatenate([trial.inputs[name] for trial in trials])
+        if not varies(values):
+            continue
+        low, high, middle = float(values.min()), float(values.max()), float(np.median(values))
+        quarter = 0.25 * (high - low)
+        middle = middle if low + quarter < middle < high - quarter else 0.5 * (low + high)
+        ends = ranges.get(name, (low, high))
+        given = MeasuredInput(name, middle, min(low, ends[0]), max(high, ends[1]))
+        columns = np.column_stack([values, command, np.ones(values.size)])
+        rise = float(np.linalg.lstsq(columns, angle, rcond=None)[0][0])
+        between = float(np.mean((values > low + quarter) & (values < high - quarter)))
+        ways = (False, True) if between > _BETWEEN else (False,)
+        for part, groups in ((name, _OF_CORE), (f"{name}, drive", _OF_DRIVE)):
+            sets = [s for k in range(1, len(groups) + 1) for s in itertools.combinations(groups, k)]
+            made = {(g, b): _dependence(Dependence(given, g, b), scale, rise) for g in groups for b in ways}
+            forms = [tuple(made[group, bent] for group in s) for bent in ways for s in sets]
+            parts.append(Part(part, ((), *forms)))
+    return tuple(parts)
+
+
+def varies(values: Vec) -> bool:
+    """Whether a measured input varies enough for a dependence on it."""
+    return float(np.ptp(values)) > _VARIES * float(np.max(np.abs(values)))
+
+
+def _dependence(depends: Dependence, scale: Scale, rise: float) -> Candidate:
+    """Candidate that starts from none; an offset from the rise of the output with the input."""
+    given = depends.input
+    usual = (0.05 * scale.angle_span if depends.group == "offset" else 0.2) / (given.upper - given.lower)
+    pairs = zip(depends.names, depends.bounds, strict=True)
+    free = tuple(Freedom(name, low, high, usual) for name, (low, high) in pairs)
+    start = (rise if depends.group == "offset" else 0.0,) * len(free)
+    way = "bent" if depends.bent else "affine"
+    return Candidate(f"{depends.group}_by_{given.name}", way, "command", 0, (), free, (start,), depends=depends)
 
 
 def _forms_of(scale: Scale, *effects: str) -> Mapping[str, Candidate]:

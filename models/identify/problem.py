@@ -10,7 +10,7 @@ import numpy as np
 
 from hystmpc.trials.types import Vec
 
-from ..chain import Chain
+from ..chain import Chain, with_dependences
 from ..effects.effect import CORE, Candidate
 from ..start import Box
 from .baseline import Baseline
@@ -140,15 +140,21 @@ class Problem:
         after = sorted((c for c in self.effects if c.side == "output"), key=lambda c: c.order)
         leading = [(c, operator) for c in before for operator in c.operators]
         trailing = [(c, operator) for c in after for operator in c.operators]
-        self.chain = Chain(
-            nominal.core,
-            (*(operator for _, operator in leading), *nominal.before),
-            (*nominal.after, *(operator for _, operator in trailing)),
+        self.chain = with_dependences(
+            Chain(
+                nominal.core,
+                (*(operator for _, operator in leading), *nominal.before),
+                (*nominal.after, *(operator for _, operator in trailing)),
+            ),
+            [c.depends for c in self.effects if c.depends is not None],
         )
+        self.offsets_by_inputs = any(c.depends is not None and c.depends.group == "offset" for c in self.effects)
         self._staged, self._given = StagedChain(self.chain), self.chain.values
         at, states = self._places()
         core = len(self.chain.before)
-        self._nominal = slice(at[len(leading)], at[len(leading) + len(nominal.operators)])
+        self._nominal = [
+            at[k] + i for k, o in enumerate(nominal.operators, len(leading)) for i in range(len(o.parameters))
+        ]
         first = core + 1 + len(nominal.after)
         owners = [*((c, k) for k, (c, _) in enumerate(leading)), *((c, first + k) for k, (c, _) in enumerate(trailing))]
         self._before, self._leading = slice(0, states[core]), len(leading)
@@ -160,7 +166,7 @@ class Problem:
         self._active = [k for k in range(baseline.nominal.size) if k not in kept]
         self._z = len(self._active)
         self._freedoms = [
-            (freedom, self._indices(freedom.name, [k for other, k in owners if other is c], at))
+            (freedom, self._indices(freedom.name, self._owned(c, owners), at))
             for c in self.effects
             for freedom in c.free
         ]
@@ -243,7 +249,8 @@ class Problem:
         p = self._values(q)[0]
         together = RunsTogether.of([run])
         state = self._start(together, p, np.empty((p.size, 0)))[0]
-        theta = self._staged.simulate(together.command[:, None], run.dt_s, state, p)[0][together.recorded, 0]
+        commands, inputs = together.command[:, None], {name: z[:, None] for name, z in together.inputs.items()}
+        theta = self._staged.simulate(commands, run.dt_s, state, p, inputs)[0][together.recorded, 0]
         return np.asarray(theta + run.correction, dtype=np.float64)
 
     def filtered(self, q: Vec, run: Run) -> Vec:
@@ -255,7 +262,8 @@ class Problem:
         together = RunsTogether.of([run])
         state = self._start(together, p, np.empty((p.size, 0)))[0][: front.state_size]
         commands, values = together.command[:, None], p[: len(front.parameters)]
-        return StagedChain(front).simulate(commands, run.dt_s, state, values)[0][together.recorded, 0]
+        inputs = {name: z[:, None] for name, z in together.inputs.items()}
+        return StagedChain(front).simulate(commands, run.dt_s, state, values, inputs)[0][together.recorded, 0]
 
     def linearised(self, q: Vec, run: Run) -> tuple[Vec, Vec]:
         """Angles (T,) and their derivative (T, Q)."""
@@ -300,7 +308,8 @@ class Problem:
 
     def begun(self, q: Vec, run: Run, box: Box) -> Run:
         """Run with the start estimated at unknowns q, where it begins in motion."""
-        return run.begun(self._staged.rollouts(run.dt_s, self._values(q)[0]), box, self.chain.rest_samples)
+        runs = self._staged.rollouts(run.dt_s, self._values(q)[0], run.inputs, run.lead)
+        return run.begun(runs, box, self.chain.rest_samples)
 
     def _pass(self, q: Vec, together: RunsTogether, derivatives: bool = True) -> tuple[Vec, Vec]:
         """Angles (T,), their derivative, if asked, and, in the last column, their error (T, Q + 1) over all samples."""
@@ -312,7 +321,7 @@ class Problem:
         if more:
             self._move_starts(together, p, state, moving)
         theta, both = self._staged.differentiate(
-            together.command, together.dt_s, state, moving, p, seeds, together.first
+            together.command, together.dt_s, state, moving, p, seeds, together.first, together.inputs
         )
         theta, both = theta[together.recorded], both[together.recorded]
         theta += together.correction
@@ -329,7 +338,8 @@ class Problem:
         command, angle = together.rests
         none, leads = np.empty((p.size, 0)), np.array([run.lead > 0 for run in together.runs])
         for k, (du, dy) in enumerate(((_NUDGE, 0.0), (0.0, _NUDGE))):
-            moved = (self._staged.settled(command + du, angle + dy, together.dt_s, p, none)[0] - state) / _NUDGE
+            rests = command + du, angle + dy, together.dt_s, p, none, together.first_inputs
+            moved = (self._staged.settled(*rests)[0] - state) / _NUDGE
             part = self._before if k == 0 else slice(self._before.stop, None)
             moving[part, :, k] = moved[part] * leads
         for _, index in self._carried:
@@ -354,6 +364,10 @@ class Problem:
     def _in_core(self) -> list[str]:
         return [c.effect for c in self.effects if c.variant == CORE]
 
+    def _owned(self, c: Candidate, owners: Sequence[tuple[Candidate, int]]) -> Sequence[int]:
+        """Numbers of the operators that may have a candidate's parameters: all for a dependence on an input."""
+        return [k for other, k in owners if other is c] if c.depends is None else range(len(self.chain.operators))
+
     def _indices(self, name: str, operators: Sequence[int], at: Sequence[int]) -> list[int]:
         positions = []
         for k in operators:
@@ -364,7 +378,7 @@ class Problem:
 
     def _start(self, together: RunsTogether, p: Vec, seeds: Vec) -> tuple[Vec, Vec]:
         """States (S, N) before the first sample of each run, and their derivatives (S, N, D)."""
-        state, slope = self._staged.settled(*together.rests, together.dt_s, p, seeds)
+        state, slope = self._staged.settled(*together.rests, together.dt_s, p, seeds, together.first_inputs)
         for what, index in self._carried:
             state[index] = [
                 run.bent_before if what == "bend" else run.clock_s - len(run.approach) * run.dt_s

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -37,6 +37,7 @@ class Run:
             chain.
         lead: first samples of a trial in motion, used only to estimate its start.
         approach: commands between the rest and the first sample, see `TrialStart`.
+        inputs: measured inputs (T,) by name.
     """
 
     name: str
@@ -51,6 +52,7 @@ class Run:
     correction: Vec
     lead: int = 0
     approach: tuple[float, ...] = ()
+    inputs: Mapping[str, Vec] = field(default_factory=dict)
 
     @property
     def start(self) -> TrialStart:
@@ -99,6 +101,7 @@ class RunsTogether:
         angle, correction: of all trials (T,), see `Run`.
         begin: first sample of each trial, followed by T (N + 1,).
         spans: first sample and end of each stretch that is scored.
+        inputs: of all runs with their approaches (A,) each, those that every run has.
     """
 
     runs: tuple[Run, ...]
@@ -109,6 +112,7 @@ class RunsTogether:
     correction: Vec
     begin: Index
     spans: list[tuple[int, int]]
+    inputs: Mapping[str, Vec]
 
     @classmethod
     def of(cls, runs: Sequence[Run]) -> RunsTogether:
@@ -120,7 +124,12 @@ class RunsTogether:
             recorded = np.concatenate([np.arange(-len(run.approach), run.command.size) >= 0 for run in runs])
         correction = np.concatenate([run.correction for run in runs])
         spans = spans_of(np.concatenate([run.counts for run in runs]))
-        return cls(tuple(runs), command, first, recorded, angle, correction, begin, spans)
+        inputs = {
+            name: np.concatenate([np.pad(run.inputs[name], (len(run.approach), 0), mode="edge") for run in runs])
+            for name in runs[0].inputs
+            if all(name in run.inputs for run in runs)
+        }
+        return cls(tuple(runs), command, first, recorded, angle, correction, begin, spans, inputs)
 
     @classmethod
     def groups(cls, runs: Sequence[Run]) -> tuple[RunsTogether, ...]:
@@ -144,6 +153,11 @@ class RunsTogether:
         """Commands (N,) [cmd] and angles (N,) [deg] at rest before the runs."""
         command, angle = np.array([(run.rest_command, run.rest_angle) for run in self.runs]).T
         return command, angle
+
+    @property
+    def first_inputs(self) -> Mapping[str, Vec]:
+        """Measured inputs (N,) at the first samples of the runs, and before them."""
+        return {name: values[self.first[:-1]] for name, values in self.inputs.items()}
 
     def each(self) -> Iterator[tuple[Run, slice]]:
         """Runs with their slices."""
@@ -208,6 +222,7 @@ def runs_of(
                 clock_s=before[k].clock_s,
                 correction=np.zeros(len(trial)) if corrections is None else corrections[k],
                 lead=start.lead,
+                inputs=dict(trial.inputs),
             )
         )
     return tuple(runs)
@@ -259,10 +274,10 @@ def blocks_of(errors: Sequence[Vec], runs: Sequence[Run]) -> Blocks:
 
 
 def fingerprint(trials: Sequence[Trial]) -> str:
-    """SHA-256 over time, command and angle of all trials, in order."""
+    """SHA-256 over time, command, angle and measured inputs of all trials, in order."""
     digest = hashlib.sha256()
     for trial in trials:
-        for signal in (trial.t, trial.command, trial.angle):
+        for signal in (trial.t, trial.command, trial.angle, *trial.inputs.values()):
             digest.update(np.ascontiguousarray(signal).tobytes())
     return digest.hexdigest()
 

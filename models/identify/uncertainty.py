@@ -12,6 +12,7 @@ from scipy.special import stdtrit
 
 from hystmpc.trials.types import Vec
 
+from ..chain import Chain
 from ..effects.catalogue import EFFECTS
 from ..effects.effect import Candidate, base_name, unit_on
 from .cross_validation import Hypothesis
@@ -196,7 +197,7 @@ def _effect_rows(hypothesis: Hypothesis, uncertain: Uncertainty) -> Iterator[Par
         for freedom in c.free:
             half = uncertain.half_width(np.eye(q.size)[k])
             ends = _ends(values[k], half, freedom.scale, (freedom.lower, freedom.upper))
-            neutral = _neutral(c.effect, freedom.name)
+            neutral = _neutral(c.effect, freedom.name) if c.depends is None else 0.0
             at_bound, flat = bool(uncertain.at_bound[k]), bool(uncertain.flat[k])
             yield ParameterRow(
                 c.effect,
@@ -206,7 +207,7 @@ def _effect_rows(hypothesis: Hypothesis, uncertain: Uncertainty) -> Iterator[Par
                 neutral,
                 at_bound,
                 flat,
-                _unit(c, freedom.name),
+                _unit(c, freedom.name, problem.chain),
             )
             k += 1
         in_core = {} if c.operators else problem.baseline.effects.get(c.effect, {})
@@ -235,7 +236,9 @@ def _reach(problem: Problem, name: str, q: Vec) -> float:
     return float(np.ptp(reached)) if reached else 0.0
 
 
-def _unit(candidate: Candidate, name: str) -> str:
+def _unit(candidate: Candidate, name: str, chain: Chain) -> str:
+    if candidate.depends is not None:
+        return next((p.unit for p in chain.parameters if p.name == name), "1")
     for operator in candidate.operators:
         for parameter in operator.parameters:
             if parameter.name == name:

@@ -13,7 +13,7 @@ from hystmpc.trials.errors import ModelError
 from hystmpc.trials.types import Vec
 
 from ..contract.metadata import ModelMetadata
-from ..fronts import EngineInverse, EnginePredictor, Front, pair_part, pair_rest
+from ..fronts import EngineInverse, EnginePredictor, Front, pair_inputs, pair_part, pair_rest
 from ..model import Inverse, InvertiblePredictor, LoadedModel, Predictor, kind_of
 from ..prediction.compiled import CompiledPredictor
 from .drive import DrivenInverse
@@ -59,6 +59,7 @@ class AccompaniedPredictor(EnginePredictor):
     def __init__(self, predictor: Predictor, companion: Predictor) -> None:
         self._as(predictor)
         self.predictor, self.companion, self.size = predictor, companion, predictor.state_size
+        self.inputs, self.input_states = pair_inputs(predictor, companion, between=1)
 
     @property
     def state_size(self) -> int:

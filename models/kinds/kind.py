@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -39,6 +39,7 @@ class FitRequest:
         plays: number of plays of a Prandtl-Ishlinskii model; None for the kind's default.
         skip_first_flexure: score each trial from the first reversal of its command on.
         limits: limits of the command sent to the device.
+        ranges: of measured inputs over which a dependence on them is to hold; those of the trials where left out.
     """
 
     training: str = "best"
@@ -50,6 +51,7 @@ class FitRequest:
     plays: int | None = None
     skip_first_flexure: bool = False
     limits: DeviceLimits = field(default_factory=DeviceLimits)
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +95,7 @@ class ModelKind(ABC):
         invertible: whether inverse maps can be identified.
         recurrent: whether its angle depends on more than the present command.
         rings: whether its angle oscillates after the command stops.
+        takes_inputs: whether parameters may depend on measured inputs.
     """
 
     name: str
@@ -103,6 +106,7 @@ class ModelKind(ABC):
     invertible: bool = True
     recurrent: bool = True
     rings: bool = False
+    takes_inputs: bool = False
 
     def usual_training(self, inverted: bool) -> str:
         """Default training."""
@@ -135,8 +139,11 @@ class ModelKind(ABC):
         """Refuse a request that this kind cannot fulfil, before the fit.
 
         Raises:
-            FitError: on an unknown training, or an inverse map of a kind that has none.
+            FitError: on an unknown training, an inverse map of a kind that has none, or measured inputs for a kind that
+                cannot depend on any.
         """
+        if not self.takes_inputs and any(trial.inputs for trial in trials):
+            raise FitError(f"{self.name}: got the input {next(iter(trials[0].inputs))}, expected none; `auto` takes it")
         if request.training not in self.trainings:
             raise FitError(
                 f"{self.name}: no training {request.training!r}, {did_you_mean(request.training, self.trainings)}"

@@ -65,6 +65,7 @@ class AutoKind(ModelKind):
     trainings = ("best",)
     readable = True
     invertible = False
+    takes_inputs = True
 
     def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
         self.check(trials, request)
@@ -73,7 +74,7 @@ class AutoKind(ModelKind):
 
         history, show = recorded(progress)
         skip = request.skip_first_flexure
-        fit = identify_auto(trials, skip, lambda share, rmse: show(round(_STEPS * share), rmse))
+        fit = identify_auto(trials, skip, lambda share, rmse: show(round(_STEPS * share), rmse), request.ranges)
         words = f"auto: {fit.choice.hypothesis.label} + {fit.choice.core.label}"
         simulator = simulator_of(
             auto_chain(fit), trials, request.limits, words, request.seed, request.skip_first_flexure, fit.noise

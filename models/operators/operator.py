@@ -143,6 +143,11 @@ class Operator(ABC):
     def _value_fields(self) -> list[str]:
         return [f.name for f in fields(self) if f.name not in self.shape]  # type: ignore[arg-type]  # as above
 
+    @property
+    def inner(self) -> Operator:
+        """The operator without dependences on measured inputs, see `models.scheduled`: itself where it has none."""
+        return self
+
     def resampled(self, dt_s: float, was_s: float) -> Operator:
         """Operator converted from sample time `was_s` to `dt_s` [s]: stores of delays and phases of clocks change."""
         del dt_s, was_s
@@ -179,6 +184,11 @@ def check_values(operator: Operator) -> None:
             raise ModelError(
                 f"{operator.name}.{parameter.name} is {value:.6g} {parameter.unit}, expected {low:.6g} to {high:.6g}"
             )
+
+
+def is_number(value: Any) -> bool:
+    """Whether plain data is a number; True and False are not numbers."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _has_a_size(unit: str) -> bool:

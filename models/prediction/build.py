@@ -17,7 +17,7 @@ from hystmpc.trials.types import Vec
 from ..chain import Chain, split
 from ..connections import operators_of, rest_of
 from ..contract.metadata import ModelMetadata
-from ..fronts import EnginePredictor, pair_part, pair_rest
+from ..fronts import EnginePredictor, pair_inputs, pair_part, pair_rest
 from ..inverse.drive import Drive, DrivenInverse
 from ..inverse.inverses import (
     AccompaniedPredictor,
@@ -218,6 +218,7 @@ class SeriesPredictor(EnginePredictor):
     def __init__(self, drive: Drive, predictor: Predictor) -> None:
         self._as(predictor)
         self._drive, self._predictor = drive.predictor, predictor
+        self.inputs, self.input_states = pair_inputs(self._drive, predictor)
 
     @property
     def state_size(self) -> int:
@@ -246,6 +247,7 @@ class ParallelPredictor(EnginePredictor):
         self.dt, self.command_range, self.noise = first.dt, first.command_range, second.noise
         self.model_sigma_deg = second.model_sigma_deg
         self.first, self.second, self.size = first, second, first.state_size
+        self.inputs, self.input_states = pair_inputs(first, second)
 
     @property
     def state_size(self) -> int:

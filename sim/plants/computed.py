@@ -134,6 +134,7 @@ def settling_s(chain: Chain) -> float:
 
 
 def _settling_of(operator: Operator) -> float:
+    operator = operator.inner
     if isinstance(operator, Lag):
         return _SETTLED * max(operator.tau_s, *operator.tau_down_s, 0.0)
     if isinstance(operator, Creep):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import final
 
@@ -110,9 +111,10 @@ def make_plant(
         ConfigError: if a mismatch names an unknown parameter, or the commands lie beyond what a device takes.
         ModelError: if a simulator file is missing or unusable, or a mismatch takes a parameter out of its bounds.
     """
-    effects = settings.model_dump(exclude={"simulator", "device", "parameters"})
+    effects = settings.model_dump(exclude={"simulator", "device", "parameters", "inputs"})
     if settings.device is None:
-        return SimulatedPlant(load_simulator(_file(settings)), Effects(**effects), dt_s, commands, seed)
+        inputs = {name: partial(one.at, name) for name, one in settings.inputs.items()}
+        return SimulatedPlant(load_simulator(_file(settings)), Effects(**effects), dt_s, commands, seed, inputs)
     device = named_device(settings.device, settings.parameters, effects.pop("mismatch"))
     return DevicePlant(device, Effects(**effects), 0.04 if dt_s is None else dt_s, commands, seed)
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Any, cast, final
 
 import numpy as np
@@ -22,6 +23,9 @@ from hystmpc.trials.errors import ConfigError, ModelError, did_you_mean
 from hystmpc.trials.types import Vec
 
 from .computed import ComputedPlant, Sensing, run_chain, settling_s
+
+Signals = Mapping[str, Callable[[Vec], Vec]]
+"""Measured inputs by name, at times (T,) [s]."""
 
 
 @dataclass(frozen=True)
@@ -130,9 +134,11 @@ class SimulatedPlant(ComputedPlant):
         dt_s: sample time [s]; the simulator's own where left out.
         commands: range of flexure and rest; the simulator's limits where left out.
         seed: of the sensor noise and the sensors among the effects; equal seeds give equal noise after every reset.
+        inputs: measured inputs of the simulator by name, at times (T,) [s] from the reset on; the identified values
+            where left out.
 
     Raises:
-        ConfigError: if `effects` name a parameter that the simulator does not have.
+        ConfigError: if `effects` name a parameter that the simulator does not have, or `inputs` an input.
         ModelError: if a mismatch takes a parameter out of its bounds.
     """
 
@@ -143,8 +149,11 @@ class SimulatedPlant(ComputedPlant):
         dt_s: float | None = None,
         commands: Range | None = None,
         seed: int = 0,
+        inputs: Signals = MappingProxyType({}),
     ) -> None:
         effects, commands = effects or Effects(), commands or simulator.command_limits
+        simulator = _at_first(simulator, inputs)
+        self._inputs = inputs
         dt_s = simulator.dt_s if dt_s is None else dt_s
         self.simulator = plant_simulator(simulator, effects, dt_s)
         self._model = CompiledPredictor.of_simulator(self.simulator)
@@ -161,13 +170,35 @@ class SimulatedPlant(ComputedPlant):
         """True angle [deg] and state (S,) after every reset."""
         return self._rest
 
-    def _at_rest(self, random: np.random.Generator) -> tuple[float, Vec]:
-        del random  # a chain has no randomness
-        return self._rest
+    @property
+    def inputs(self) -> Mapping[str, float]:
+        """Measured inputs at the present instant; those that are not given have their identified values."""
+        given = {one.name: one.reference for one in self._model.inputs}
+        return given | {name: float(f(self.dt * np.array([self._state[1]]))[0]) for name, f in self._inputs.items()}
 
-    def _advanced(self, state: Vec, u: float, random: np.random.Generator) -> tuple[float, Vec]:
+    def _at_rest(self, random: np.random.Generator) -> tuple[float, tuple[Vec, int]]:
+        del random  # a chain has no randomness
+        return self._rest[0], (self._rest[1], 0)
+
+    def _advanced(self, state: tuple[Vec, int], u: float, random: np.random.Generator) -> tuple[float, tuple[Vec, int]]:
         del random
-        return self._model.advance(state, u)
+        x, samples = state
+        if self._inputs:
+            x = x.copy()
+            for name, value in self.inputs.items():
+                x[list(self._model.input_states[name])] = value
+        angle, x = self._model.advance(x, u)
+        return angle, (x, samples + 1)
+
+
+def _at_first(simulator: Simulator, inputs: Signals) -> Simulator:
+    """Simulator at rest at the first values of its inputs."""
+    known = [one.name for one in simulator.chain.inputs]
+    for name in inputs:
+        if name not in known:
+            raise ConfigError(f"plant.inputs: the simulator does not depend on {name!r}, {did_you_mean(name, known)}")
+    first = {name: float(signal(np.zeros(1))[0]) for name, signal in inputs.items()}
+    return replace(simulator, chain=simulator.chain.at_inputs(first)) if first else simulator
 
 
 def rest_of(simulator: Simulator, commands: Range) -> float:

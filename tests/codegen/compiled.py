@@ -88,6 +88,7 @@ class Library:
         self._library.hystmpc_hurry.argtypes = [ctypes.c_void_p]
         self._library.hystmpc_look_on.argtypes = [ctypes.c_void_p, real, real]
         self._library.hystmpc_measure.argtypes = [ctypes.c_void_p, real, real]
+        self._library.hystmpc_input.argtypes = [ctypes.c_void_p, ctypes.c_int, real]
         self._library.hystmpc_step.argtypes = [ctypes.c_void_p, real, ctypes.c_void_p]
         self._library.hystmpc_step.restype = Command
         self._library.hystmpc_memory_bytes.restype = ctypes.c_ulong
@@ -113,6 +114,9 @@ class Library:
 
     def measure(self, angle: float, age: float) -> int:
         return int(self._library.hystmpc_measure(self.memory, angle, age))
+
+    def input(self, number: int, value: float) -> int:
+        return int(self._library.hystmpc_input(self.memory, number, value))
 
     def hurry(self) -> None:
         self._library.hystmpc_hurry(self.memory)

@@ -20,10 +20,11 @@ from hystmpc.trials.errors import ModelError
 
 from .zoo import CHAINS, DT, EXAMPLES, WITH_EFFECTS
 
-CASES = [*(Chain(example) for example in EXAMPLES), CHAINS["delayed pi with lag"], WITH_EFFECTS]
-IDS = [*(f"{example.name}-{k}" for k, example in enumerate(EXAMPLES)), "chain", "effects"]
+BY_INPUTS = CHAINS["pi by two inputs"]
+CASES = [BY_INPUTS, *(Chain(example) for example in EXAMPLES), CHAINS["delayed pi with lag"], WITH_EFFECTS]
+IDS = ["inputs", *(f"{example.name}-{k}" for k, example in enumerate(EXAMPLES)), "chain", "effects"]
 # Plays, second order, slow memory, a gain by direction, and whole chains: a wrong operation shows in one of these.
-FAST = {"prandtl_ishlinskii-8", "servo-22", "creep-31", "asymmetry-42", "chain", "effects"}
+FAST = {"prandtl_ishlinskii-8", "servo-22", "creep-31", "asymmetry-42", "inputs", "chain", "effects"}
 NAMED = [
     pytest.param(chain, id=name, marks=() if name in FAST else pytest.mark.slow)
     for chain, name in zip(CASES, IDS, strict=True)
@@ -86,7 +87,7 @@ def test_backends_agree(backend: object, chain: Chain) -> None:
 
 
 def test_the_examples_cover_the_catalogue() -> None:
-    assert {type(chain.core) for chain in CASES} == set(operators().values())
+    assert {type(chain.core.inner) for chain in CASES} == set(operators().values())
 
 
 def test_an_operation_outside_the_list_is_named() -> None:

@@ -22,6 +22,7 @@ from hystmpc.models.operators.oscillator import Oscillator, StateNetwork
 from hystmpc.models.operators.prandtl_ishlinskii import Drdpi, InversePrandtlIshlinskii, PrandtlIshlinskii
 from hystmpc.models.operators.slow_changes import Creep, Drift, FirstFlexure, TrialShift
 from hystmpc.models.operators.static_curves import Contact, Deadband, Line, NonlinearGain, Slack
+from hystmpc.models.scheduled import Dependence, MeasuredInput, Scheduled
 from hystmpc.models.simulator import Identification, Simulator
 
 DT = 0.04
@@ -107,10 +108,19 @@ EXAMPLES: tuple[Operator, ...] = (
     Oscillator(0.01, 0.1, 1.0, 0.5, 0.02, 0.01, hold=1, steps=1),
     STATE_NETWORK,
 )
+PRESSURE, LOAD = MeasuredInput("pressure_bar", 3.0, 1.0, 7.0), MeasuredInput("load_g", 50.0, 0.0, 100.0)
 CHAINS: dict[str, Chain] = {
     "backlash": Chain(BACKLASH),
     "pi": Chain(RATE_PI),
     "delayed pi with lag": Chain(RATE_PI, before=(Delay(0.06, 2),), after=(Lag(0.08),)),
+    "pi by two inputs": Chain(
+        Scheduled.of(
+            RATE_PI,
+            (Dependence(PRESSURE, "friction"), Dependence(PRESSURE, "gain", bent=True), Dependence(LOAD, "offset")),
+            (0.25, 0.1, -0.05, 0.02),
+        ),
+        before=(Delay(0.06, 2), Scheduled.of(Lag(0.08), (Dependence(LOAD, "time"),), (0.002,))),
+    ),
 }
 # Not among the chains above: with an effect on the output that shifts the angle a free run does not start where the
 # trial does, since the rest of a chain takes the angle behind the core for the one that was seen.

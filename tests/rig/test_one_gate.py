@@ -67,6 +67,7 @@ COMPUTED = {
     "sim/gym_.py",
     "lab/benchmarks/endurance.py",
     "lab/benchmarks/faults.py",
+    "lab/benchmarks/inputs.py",
     "lab/benchmarks/lstm_presets.py",
     "lab/benchmarks/make_library.py",
     "lab/benchmarks/monitor.py",
