@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Any, final
@@ -16,7 +17,7 @@ from hystmpc.core.rooms import in_room
 from hystmpc.core.structs import Struct, constants, layout, struct
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.models.prediction.build import controller_model
-from hystmpc.models.simulator import ChainModel
+from hystmpc.models.simulator import ChainModel, Simulator
 from hystmpc.models.two_axes.model import AXES, TwoAxisModel
 from hystmpc.trials.brief import brief
 from hystmpc.trials.errors import ControllerError, shown
@@ -35,7 +36,7 @@ from ..problem import CHANGES
 
 _STARTED, _PREDICTIVE = constants()["HYSTMPC_STARTED"], constants()["HYSTMPC_PREDICTIVE"]
 _COMMAND = layout("hystmpc_command")
-_ROUNDING = 1e-9
+_RATE_CLOSE, _TOLERANCE = 1.0, 0.25  # of joined axes: weight on moves; tolerance of a hold, of the model's error
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,8 +125,9 @@ class TwoAxisController(HoldsAddresses):
             CommandLimits(limits.lower, limits.upper, rate)
             for limits, rate in zip(model.command_limits, model.command_rates_per_s, strict=True)
         )
-        pairs, travels = _pairs(model, settings), [CommandLimits(*ends) for ends in model.travel_limits()]
-        x, y = (build_controller(settings, *pair, ends) for pair, ends in zip(pairs, travels, strict=True))
+        each = [_joined(settings, axis) if model.joined else settings for axis in model.axes]
+        pairs, travels = _pairs(model, each), [CommandLimits(*ends) for ends in model.travel_limits()]
+        x, y = (build_controller(*one) for one in zip(each, *zip(*pairs, strict=True), travels, strict=True))
         self._axes = x, y
         self._ends = [
             angles_at_rest(pair[0], ends, axis.trained_angle_deg.lower)
@@ -285,9 +287,31 @@ def _within(axis: GuardedController, travel: float) -> float:
     return min(max(travel, axis.limits.lower), axis.limits.upper)
 
 
-def _pairs(model: TwoAxisModel, settings: AnyControllerSettings) -> list[tuple[Predictor, Inverse]]:
+def _joined(settings: AnyControllerSettings, axis: Simulator) -> AnyControllerSettings:
+    """Settings of an axis whose motions disturb the other one, where they do not say otherwise.
+
+    A correction within a dead band moves nothing, but stores a force. A motion of the other axis sets it free, since
+    both share friction: the correction is too much then. So a hold leaves a share of the model's error alone, and moves
+    are not as cheap as on one axis alone.
+    """
+    if not isinstance(settings, PredictiveSettings):
+        return settings
+    noise, changes = axis.identification.noise, dict[str, Any]()
+    if "rate_close" not in settings.weights.model_fields_set:
+        rate = min(_RATE_CLOSE, settings.weights.rate)
+        changes["weights"] = settings.weights.model_copy(update={"rate_close": rate})
+    if settings.hold.tolerance_deg is None and noise is not None and noise.model_sigma_deg is not None:
+        tolerance = _TOLERANCE * noise.model_sigma_deg
+        changes["hold"] = settings.hold.model_copy(update={"tolerance_deg": tolerance})
+    return settings.model_copy(update=changes)
+
+
+def _pairs(model: TwoAxisModel, settings: Sequence[AnyControllerSettings]) -> list[tuple[Predictor, Inverse]]:
     """Predictor and inverse of each axis."""
-    return [pair_for(settings, controller_model(ChainModel(axis, "conditioned"))) for axis in model.axes]
+    return [
+        pair_for(one, controller_model(ChainModel(axis, "conditioned")))
+        for one, axis in zip(settings, model.axes, strict=True)
+    ]
 
 
 def _problem(

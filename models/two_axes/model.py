@@ -145,6 +145,8 @@ class TwoAxisModel:
         x, y = self.axes
         if (x.dt_s, x.command_unit, x.angle_unit) != (y.dt_s, y.command_unit, y.angle_unit):
             raise ModelError("two axes: got axes of different sample times or units, expected the same of both")
+        if inputs := (*x.chain.inputs, *y.chain.inputs):
+            raise ModelError(f"two axes: an axis depends on the input {inputs[0].name}, expected no input of two axes")
 
     def __repr__(self) -> str:
         return in_brief(self, f"{len(self.command_limits)} commands, 2 angles, every {self.dt_s:.4g} s: {self.axes}")
@@ -169,6 +171,12 @@ class TwoAxisModel:
     def turn(self) -> Vec:
         """A (2, 2)."""
         return np.array(self.frame, dtype=np.float64)
+
+    @property
+    def joined(self) -> bool:
+        """Whether a command bends more than one axis, or both share friction."""
+        apart = all(np.count_nonzero(matrix, axis=0).max() <= 1 for matrix in (self.matrix, self.turn))
+        return self.cross_friction is not None or not apart
 
     def at_sample_time(self, dt_s: float) -> TwoAxisModel:
         """Model at another sample time [s]."""
