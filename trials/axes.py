@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from .errors import LogError
+from .signals import UncheckedLog
 from .trial import Trial
 
 COMMAND_Y, ANGLE_Y = "command_y", "angle_y_deg"
@@ -29,7 +30,15 @@ def both_axes(trials: Sequence[Trial]) -> list[Trial] | None:
     return [_joined(trial) for trial in trials]
 
 
-def _command_y(trial: Trial) -> str:
+def second_axis(log: UncheckedLog) -> UncheckedLog | None:
+    """The second axis of a log of two, as a log of one; None where it has one axis."""
+    name = _command_y(log)
+    if not name or ANGLE_Y not in log.channels:
+        return None
+    return replace(log, command=log.channels[name], angle=log.channels[ANGLE_Y], channels={}, cells=None, note="")
+
+
+def _command_y(trial: Trial | UncheckedLog) -> str:
     names = COMMAND_Y, f"{COMMAND_Y}_{trial.units.command}"
     return next((name for name in names if name in trial.channels), "")
 

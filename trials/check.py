@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .axes import second_axis
 from .clock_shift import DELAY_S, IMPOSSIBLE_S, clock_shift, correlations
 from .clocks import SLOWEST_HZ, UNUSUAL_HZ, suspected_unit
 from .encodings import MODULI, Encoding, encodings
@@ -32,6 +33,8 @@ _MODEL_HZ = 25.0  # default rate of `fit`
 def check(log: Log, layout: AnyLayout = "auto", sampled_hz: float | None = None) -> CheckReport:
     """Check a log: time base, jitter, gaps, duplicates, values, units, sign, excitation, segments and first flexure.
 
+    Findings on the second axis of a log of two have `y: ` before their topic.
+
     Args:
         sampled_hz: rate [Hz] of an evenly sampled log, whose time stamps are ignored.
 
@@ -42,9 +45,17 @@ def check(log: Log, layout: AnyLayout = "auto", sampled_hz: float | None = None)
     if isinstance(log, Trial):
         t = log.t if sampled_hz is None else even_time(len(log), sampled_hz)
         signals = t, log.command, log.angle, log.channels, log.units, log.source
-        return _report(UncheckedLog(*signals, inputs=log.inputs))
+        return _both(UncheckedLog(*signals, inputs=log.inputs))
     layout = resolve(layout)
-    return _report(read_unchecked(log, layout, sampled_hz), layout if sampled_hz is None else None)
+    return _both(read_unchecked(log, layout, sampled_hz), layout if sampled_hz is None else None)
+
+
+def _both(log: UncheckedLog, layout: AnyLayout | None = None) -> CheckReport:
+    """All findings on a log of one axis or two."""
+    first, other = _report(log, layout), second_axis(log)
+    second = () if other is None else _report(other).findings
+    findings = (*first.findings, *(replace(f, topic=f"y: {f.topic}") for f in second))
+    return CheckReport(first.source, first.layout, findings)
 
 
 def _report(log: UncheckedLog, layout: AnyLayout | None = None) -> CheckReport:

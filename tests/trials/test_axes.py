@@ -9,6 +9,7 @@ import pytest
 
 from hystmpc import read_trials
 from hystmpc.trials.axes import both_axes
+from hystmpc.trials.check import Severity, check
 from hystmpc.trials.errors import LogError
 
 HEADER = "time_s,command_x,command_y,angle_x_deg,angle_y_deg"
@@ -59,3 +60,11 @@ def test_a_gap_in_the_second_axis_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="angle_y_deg has no number") as refused:
         both_axes(read_trials(written(tmp_path / "log.csv", gap=True)))
     assert len(str(refused.value)) <= 300
+
+
+def test_check_looks_at_both_axes(tmp_path: Path) -> None:
+    report = check(written(tmp_path / "log.csv", gap=True))
+    (finding,) = report.of("y: values")
+    assert finding.severity is Severity.ERROR
+    assert report.of("sign")
+    assert report.of("y: sign")
