@@ -10,7 +10,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from hystmpc.trials.axes import both_axes
+from hystmpc.trials.axes import both_axes, in_channels
 from hystmpc.trials.brief import about, in_brief
 from hystmpc.trials.errors import ConfigError, FitError, in_a_line
 from hystmpc.trials.files import figures_to
@@ -184,7 +184,10 @@ def fit(
     from hystmpc.models.kinds.kind import FitRequest
 
     chosen = chosen_kind(kind, None if drive is None else str(drive), residual)
-    logs, tests, read = as_list(trials), as_list(test), partial(_read, layout, rate_hz, sampled_hz)
+    logs, tests = (
+        [in_channels(log) if isinstance(log, Trial) else log for log in as_list(each)] for each in (trials, test)
+    )
+    read = partial(_read, layout, rate_hz, sampled_hz)
     (names, ranges), files = _inputs(inputs), [*(seen := files_read(logs, layout)), *_unseen(tests, seen)]
     if out is not None:
         check_output("--out", out, (MODEL, SIMULATOR)[: 1 + chosen.readable], files, force, of=chosen.name)

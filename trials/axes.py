@@ -30,6 +30,18 @@ def both_axes(trials: Sequence[Trial]) -> list[Trial] | None:
     return [_joined(trial) for trial in trials]
 
 
+def in_channels(trial: Trial) -> Trial:
+    """Trial of one axis with the second one in channels, of a trial of commands (T, 2) and angles (T, 2)."""
+    if trial.commands.shape[1] == 1 and trial.angles.shape[1] == 1:
+        return trial
+    if trial.commands.shape[1] != 2 or trial.angles.shape[1] != 2:
+        n, m = trial.commands.shape[1], trial.angles.shape[1]
+        raise LogError(f"{trial.source}: got {n} commands and {m} angles, expected one of each, or two")
+    (u, v), (x, y) = trial.commands.T, trial.angles.T
+    channels = {**trial.channels, COMMAND_Y: v, ANGLE_Y: y}
+    return Trial(trial.t, u, x, channels, trial.units, trial.source, trial.command_noise, trial.inputs)
+
+
 def second_axis(log: UncheckedLog) -> UncheckedLog | None:
     """The second axis of a log of two, as a log of one; None where it has one axis."""
     name = _command_y(log)

@@ -11,7 +11,8 @@ import pytest
 import hystmpc
 from hystmpc.models.two_axes.model import load_two_axes
 from hystmpc.tasks.fit_both import FitOfBothAxes
-from hystmpc.trials.errors import ConfigError, FitError
+from hystmpc.trials.errors import ConfigError, FitError, LogError
+from hystmpc.trials.trial import Trial
 
 from ..models.two_axis_examples import DT, recorded, two_axes
 
@@ -49,8 +50,19 @@ def test_fit_finds_two_axes_and_writes_their_model(logs: Path, tmp_path: Path) -
     np.testing.assert_allclose(again.matrix, [[1.0, 0.2], [-0.1, 1.0]], atol=0.03)
     tip = hystmpc.TipController.from_config({"model": str(tmp_path / "both.yaml")})
     assert np.shape(tip.step((0.0, 0.0)).u) == (2,)  # type: ignore[arg-type]
-    with pytest.raises(ConfigError):
+    with pytest.raises(ConfigError, match="exists"):
+        made.save(tmp_path / "both.yaml")
+    made.save(tmp_path / "both.yaml", force=True)
+    with pytest.raises(ConfigError, match="ending in"):
         made.save(tmp_path / "both.onnx")
+
+
+def test_trials_of_two_commands_are_taken_as_they_are() -> None:
+    made = cast(FitOfBothAxes, hystmpc.fit("pi", recorded(two_axes(((1.0, 0.2), (-0.1, 1.0))), range(2))))
+    assert made.identified.joint == "tendons"
+    three = [Trial(DT * np.arange(200), np.zeros((200, 3)), np.zeros((200, 2)))]
+    with pytest.raises(LogError, match="expected one of each, or two"):
+        hystmpc.fit("pi", three)
 
 
 @pytest.mark.parametrize("given_", [{"inverse": True}, {"report": "page.html"}])
