@@ -295,8 +295,11 @@ static int axes_weigh(axes_call *c, const real *reference, real *plans, char *ro
     }
     if (axes_answer(c, plans, &q)) return 1;
     for (int i = 0; i < HYSTMPC_AXES; i++) {
+        const hystmpc_memory *const m = &c->axis[i].m;
         copy(q.travels + i * h, c->axis[i].out.commands, h);
         copy(q.y + i * h, c->axis[i].out.angles, h);
+        copy(c->axis[i].out.commands + 1, m->plan, m->head->planned); /* what is left for the next samples */
+        copy(c->axis[i].out.angles + 1, m->predicted, m->head->planned);
     }
     return 0;
 }
