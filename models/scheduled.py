@@ -158,6 +158,7 @@ class Scheduled(Operator):
 
     @property
     def inputs(self) -> tuple[MeasuredInput, ...]:
+        """Measured inputs on which it depends, each once."""
         return _inputs(self.dependences)
 
     @property

@@ -31,7 +31,11 @@ def both_axes(trials: Sequence[Trial]) -> list[Trial] | None:
 
 
 def in_channels(trial: Trial) -> Trial:
-    """Trial of one axis with the second one in channels, of a trial of commands (T, 2) and angles (T, 2)."""
+    """Trial of one axis with the second one in channels, of a trial of commands (T, 2) and angles (T, 2).
+
+    Raises:
+        LogError: if it has neither one axis nor two.
+    """
     if trial.commands.shape[1] == 1 and trial.angles.shape[1] == 1:
         return trial
     if trial.commands.shape[1] != 2 or trial.angles.shape[1] != 2:
