@@ -201,7 +201,7 @@ def fit(
     recorded, held = _with_inputs(read(logs, say), read(tests, say) if tests else [], names, say)
     if (both := both_axes(recorded)) is not None:
         only_one = {"inverse": inverse, "drive": drive, "residual": residual, "report": report, "figures": figures}
-        return cast(Fit, fit_both(chosen, both, held, request, out, only_one | {"input": names}, progress))
+        return cast(Fit, fit_both(chosen, both, held, request, out, only_one | {"input": names}, progress, say))
     _warn_of_limits([*recorded, *held], request.limits.command, say)
     used = _turned(recorded, inverse)
     done = _identify(chosen, used, request, progress, say)

@@ -15,6 +15,7 @@ from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress, Vec
 
+from .inputs import Say
 from .outputs import SIMULATOR, check_output
 
 if TYPE_CHECKING:
@@ -70,6 +71,7 @@ def fit_both(
     out: Path | str | None,
     only_one: Mapping[str, object],
     progress: Progress | None,
+    say: Say | None = None,
 ) -> FitOfBothAxes:
     """Identify a model of two axes.
 
@@ -78,6 +80,7 @@ def fit_both(
         out: file to write, `.yaml`.
         only_one: options by name that one axis alone has.
         progress: called with steps done, their number and the error so far.
+        say: called where Ctrl-C has ended the search of an axis.
 
     Raises:
         FitError: if such an option is given, or as `fit_two_axes`.
@@ -100,6 +103,8 @@ def fit_both(
             progress(steps, total, f"best {rmse:.4g} deg")
 
     done, unseen = fit_two_axes(kind, trials, request, [request.limits] * 2, tell), None
+    if done.interrupted and say is not None:
+        say("interrupted: the best so far of each axis is kept")
     if others := both_axes(held):
         errors = [done.model.run(trial.commands, trial.angles[0]) - trial.angles for trial in others]
         unseen = np.sqrt(np.mean(np.vstack(errors) ** 2, axis=0))
