@@ -285,15 +285,17 @@ static int axes_weigh(axes_call *c, const real *reference, real *plans, char *ro
         if (j < HYSTMPC_AXES) tasks[j].reference += j * h;
         if (j) tasks[j - 1].next = tasks + j;
     }
+    int answered = 0; /* whether the last answer is that of the plans */
     if (axes_answer(c, plans, &q)) return 1;
     const real before = hystmpc_plan_cost(a->law, tasks, plans, q.theta);
     if (axes_slopes(c, &q)) return 1;
     if (hystmpc_step_plan(a->law, tasks, q.jacobian, plans, q.theta, a->changes, q.program, q.whole, q.better,
                           q.better + n * h) >= 0) {
         if (axes_answer(c, q.better, &q)) return 1;
-        if (hystmpc_plan_cost(a->law, tasks, q.better, q.theta) < before) copy(q.better, plans, n * h);
+        answered = hystmpc_plan_cost(a->law, tasks, q.better, q.theta) < before;
+        if (answered) copy(q.better, plans, n * h);
     }
-    if (axes_answer(c, plans, &q)) return 1;
+    if (!answered && axes_answer(c, plans, &q)) return 1;
     for (int i = 0; i < HYSTMPC_AXES; i++) {
         const hystmpc_memory *const m = &c->axis[i].m;
         copy(q.travels + i * h, c->axis[i].out.commands, h);
