@@ -116,7 +116,6 @@ DOORS = {
     "plot": lambda trial: trial.plot(),
     "page": lambda trial: trial._repr_html_(),
     "check": hystmpc.check,
-    "fit": lambda trial: hystmpc.fit("backlash", [trial]),
     "evaluate": lambda trial: hystmpc.evaluate("builtin:pi", [trial]),
     "diagnose": lambda trial: hystmpc.diagnose([trial], "builtin:pi"),
     "write": lambda trial: write_csv(trial, "log.csv"),
