@@ -7,6 +7,9 @@ one plane changes the friction in the other one. This page identifies both axes 
 with a PID of each axis, with the inverse model, and with the predictive controller.
 """
 
+import tempfile
+from pathlib import Path
+
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -65,7 +68,7 @@ plt.show()
 fit = hystmpc.fit("pi", trials)
 print(fit.report)
 print(np.round(fit.model.matrix, 3))
-fit.save("both.yaml", force=True)
+path = fit.save(Path(tempfile.mkdtemp()) / "both.yaml")
 
 # %%
 # The star
@@ -85,7 +88,7 @@ KINDS = {
 
 def drawn(controller):
     """True angles (T, 2) while a controller follows the star."""
-    tip = hystmpc.TipController.from_config({"model": "both.yaml", "controller": controller})
+    tip = hystmpc.TipController.from_config({"model": str(path), "controller": controller})
     sent, angles = [], [REST_DEG]
     tip.set_target(motion(0.0))
     for k in range(BEFORE + round(motion.duration_s / dt)):
