@@ -263,7 +263,8 @@ def _read(
 ) -> list[Trial]:
     """Read logs at the rate of the fit; propose a rate for a log too slow for the default one."""
     try:
-        return trials_at(logs, layout, DEFAULT_RATE_HZ if rate_hz is None else rate_hz, sampled_hz, say)
+        rate = DEFAULT_RATE_HZ if rate_hz is None else rate_hz
+        return trials_at(logs, layout, rate, sampled_hz, say, most_axes=2)
     except SlowLogError as error:
         if rate_hz is not None:
             raise

@@ -98,15 +98,23 @@ def files_read(logs: Sequence[Log], layout: AnyLayout) -> list[Path]:
 
 
 def trials_at(
-    logs: Sequence[Log], layout: AnyLayout, rate_hz: float, sampled_hz: float | None = None, say: Say | None = None
+    logs: Sequence[Log],
+    layout: AnyLayout,
+    rate_hz: float,
+    sampled_hz: float | None = None,
+    say: Say | None = None,
+    most_axes: int = 1,
 ) -> list[Trial]:
     """Read logs and resample them to a rate; `say` gets notes on gaps, noise and doubtful units.
+
+    Args:
+        most_axes: as of `recorded_trials`.
 
     Raises:
         LogError: as `recorded_trials`, or if a log cannot be resampled.
         ConfigError: if a rate is not a positive number.
     """
-    recorded = recorded_trials(logs, layout, sampled_hz)
+    recorded = recorded_trials(logs, layout, sampled_hz, most_axes)
     if say is None:
         return at_rate(recorded, rate_hz)
     for trial in recorded:

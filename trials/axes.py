@@ -46,6 +46,19 @@ def in_channels(trial: Trial) -> Trial:
     return Trial(trial.t, u, x, channels, trial.units, trial.source, trial.command_noise, trial.inputs)
 
 
+def require_one_axis(trial: Trial) -> None:
+    """Refuse a log of two axes where one is expected.
+
+    Raises:
+        LogError: if it has the channels of a second axis.
+    """
+    if _command_y(trial) and ANGLE_Y in trial.channels:
+        raise LogError(
+            f"{trial.source}: a log of two axes, expected one here; `fit` and `check` take both, a mapping file names "
+            "the columns of one"
+        )
+
+
 def second_axis(log: UncheckedLog) -> UncheckedLog | None:
     """The second axis of a log of two, as a log of one; None where it has one axis."""
     name = _command_y(log)

@@ -10,6 +10,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
+from .axes import require_one_axis
 from .check import require_sound
 from .config import Settings, dump_yaml, read_yaml
 from .errors import LogError
@@ -33,17 +34,22 @@ def require_recorded(trial: Trial) -> None:
 
 
 def recorded_trials(
-    logs: Log | Iterable[Log], layout: AnyLayout = "auto", sampled_hz: float | None = None
+    logs: Log | Iterable[Log], layout: AnyLayout = "auto", sampled_hz: float | None = None, most_axes: int = 1
 ) -> list[Trial]:
     """Read logs as recorded, see `read_trials`; refuse what is no recording.
 
+    Args:
+        most_axes: 2 where a log may have a second axis in channels, see `both_axes`.
+
     Raises:
-        LogError: if a log cannot be read, is a proposed motion, or its signals are misread.
+        LogError: if a log cannot be read, is a proposed motion, its signals are misread, or it has too many axes.
         ConfigError: on an unknown layout, or a rate that is no positive number.
     """
     trials = read_trials(logs, layout, sampled_hz=sampled_hz)
     for trial in trials:
         require_recorded(trial)
+        if most_axes == 1:
+            require_one_axis(trial)
     return trials
 
 

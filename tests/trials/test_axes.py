@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import hystmpc
 from hystmpc import read_trials
 from hystmpc.trials.axes import both_axes
 from hystmpc.trials.check import Severity, check
@@ -68,3 +69,14 @@ def test_check_looks_at_both_axes(tmp_path: Path) -> None:
     assert finding.severity is Severity.ERROR
     assert report.of("sign")
     assert report.of("y: sign")
+
+
+def test_what_takes_one_axis_refuses_a_log_of_two_in_one_line(tmp_path: Path) -> None:
+    log = written(tmp_path / "log.csv")
+    for call in (
+        lambda: hystmpc.evaluate("builtin:pi", log),
+        lambda: hystmpc.diagnose(log, "builtin:pi", out=tmp_path / "out"),
+    ):
+        with pytest.raises(LogError, match="a log of two axes, expected one") as refused:
+            call()
+        assert len(str(refused.value)) <= 300 + len(str(log))
