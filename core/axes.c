@@ -347,10 +347,8 @@ int hystmpc_axes_step(const void *axes, char *memory, const real *angles_deg, co
         fill(c.axis[i].out.angles, (real)NAN, h);
     }
     memset(answer, 0, HYSTMPC_AXES * sizeof *answer);
-    for (int k = 0; k < samples; k++) {
-        if (reference) axes_map(a->unframe, HYSTMPC_AXES, HYSTMPC_AXES, reference + k, samples, in_y + k, samples);
-        for (int i = 0; i < HYSTMPC_AXES && !reference; i++) in_y[i * samples + k] = c.axis[i].m.head->target;
-    }
+    for (int k = 0; k < samples; k++)
+        axes_map(a->unframe, HYSTMPC_AXES, HYSTMPC_AXES, reference + k, samples, in_y + k, samples);
     axes_foresee(&c, samples, ahead, shared);
     for (int k = 0; k < 2 * samples; k++) in_y[k] -= shared[k];
     if (!axes_propose(&c, angles_deg, in_y, room)) {
@@ -385,14 +383,6 @@ int hystmpc_axes_step(const void *axes, char *memory, const real *angles_deg, co
     return unusual;
 }
 
-void hystmpc_axes_target(const void *axes, char *memory, const real *angles_deg) {
-    axes_call c;
-    real y[HYSTMPC_AXES];
-    axes_open(axes, memory, &c);
-    axes_map(c.a->unframe, HYSTMPC_AXES, HYSTMPC_AXES, angles_deg, 1, y, 1);
-    for (int i = 0; i < HYSTMPC_AXES; i++) hystmpc_controller_target(c.axis[i].p, c.axis[i].memory, y[i]);
-}
-
 int hystmpc_axes_measure(const void *axes, char *memory, const real *angles_deg, real age) {
     axes_call c;
     real y[HYSTMPC_AXES];
@@ -402,21 +392,6 @@ int hystmpc_axes_measure(const void *axes, char *memory, const real *angles_deg,
                   c.a->first->sensing->delay + (is_finite(age) && age < (real)HYSTMPC_PAST ? (int)(age + R(0.5)) : 0), y);
     for (int i = 0; i < HYSTMPC_AXES; i++) used &= hystmpc_controller_measure(c.axis[i].p, c.axis[i].memory, y[i], age);
     return used;
-}
-
-int hystmpc_axes_look_on(const void *axes, char *memory, const real *angles_deg, const real *commands, char *room) {
-    axes_call c;
-    real y[HYSTMPC_AXES], w[HYSTMPC_AXES];
-    int failed = 0;
-    axes_open(axes, memory, &c);
-    axes_measured(&c, angles_deg, c.a->first->sensing->delay, y);
-    for (int j = 0; j < c.a->commands; j++)
-        if (is_finite(commands[j])) c.last[j] = clamp(commands[j], c.a->lower[j], c.a->upper[j]);
-    axes_travels(c.a, c.last, 1, w, 1);
-    axes_rub(&c, w);
-    for (int i = 0; i < HYSTMPC_AXES; i++)
-        failed += hystmpc_controller_look_on(c.axis[i].p, c.axis[i].memory, y[i], w[i], room);
-    return failed;
 }
 
 void hystmpc_axes_held(const void *axes, char *memory, const real *commands) {

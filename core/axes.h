@@ -47,17 +47,14 @@ HYSTMPC_API long hystmpc_axes_room_bytes(const void *axes);
 /* What both axes share, at rest under commands (n): call it when each has its start in the memory. */
 HYSTMPC_API void hystmpc_axes_begin(const void *axes, char *memory, const real *commands);
 
-/* One step. angles_deg (2), not-a-number where one is missing; reference (2, S) or null; u (n): the commands to send;
+/* One step. angles_deg (2), not-a-number where one is missing; reference (2, S); u (n): the commands to send;
  * answers: two structs `hystmpc_command`, of which u is the axis's travel w and angles are y. plan (n + 2, H): commands, and
  * angles theta, disturbance included; null for none. Answers how many of the axes say something unusual. */
 HYSTMPC_API int hystmpc_axes_step(const void *axes, char *memory, const real *angles_deg, const real *reference,
                                   real *u, void *answers, real *plan, char *room);
 
 /* As the functions of controller.h, for both axes: angles (2), commands (n). */
-HYSTMPC_API void hystmpc_axes_target(const void *axes, char *memory, const real *angles_deg);
 HYSTMPC_API int hystmpc_axes_measure(const void *axes, char *memory, const real *angles_deg, real age);
-HYSTMPC_API int hystmpc_axes_look_on(const void *axes, char *memory, const real *angles_deg, const real *commands,
-                                     char *room);
 HYSTMPC_API void hystmpc_axes_held(const void *axes, char *memory, const real *commands);
 HYSTMPC_API void hystmpc_axes_hurry(const void *axes, char *memory);
 HYSTMPC_API void hystmpc_axes_stop(const void *axes, char *memory);

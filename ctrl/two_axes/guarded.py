@@ -34,7 +34,7 @@ from ..mpc_settings import LinearisedMpcSettings, PredictiveSettings
 from ..planner.reach import angles_at_rest
 from ..problem import CHANGES
 
-_STARTED, _PREDICTIVE = constants()["HYSTMPC_STARTED"], constants()["HYSTMPC_PREDICTIVE"]
+_PREDICTIVE = constants()["HYSTMPC_PREDICTIVE"]
 _COMMAND = layout("hystmpc_command")
 _RATE_CLOSE, _TOLERANCE = 1.0, 0.25  # of joined axes: weight on moves; tolerance of a hold, of the model's error
 
@@ -69,16 +69,14 @@ class TwoAxisState:
 
     Attributes:
         memory: bytes of the engine (B,), never changed, see core/axes.h.
-        axes: the same as states of two controllers, to be read.
+        first, second: the same of each axis, in its coordinates w and y, to be read.
         cause: why the stop is latched.
         refusal: why the next step has no time for a plan; empty if it has.
     """
 
     memory: Bytes
-    parts: tuple[slice, slice]
     first: GuardedState
     second: GuardedState
-    commands: int
     cause: str = "after repeated failures"
     refusal: str = ""
     __repr__ = brief
@@ -87,11 +85,6 @@ class TwoAxisState:
     def axes(self) -> tuple[GuardedState, GuardedState]:
         """States of both axes, in their coordinates w and y."""
         return self.first, self.second
-
-    @property
-    def command(self) -> Vec:
-        """Commands that the device holds (n,)."""
-        return self.memory[: 8 * self.commands].view(np.float64).copy()
 
     @property
     def stopped(self) -> bool:
@@ -264,7 +257,7 @@ class TwoAxisController(HoldsAddresses):
         first, second = (
             GuardedState(memory[part], axis.places) for part, axis in zip(self._parts, self._axes, strict=True)
         )
-        return TwoAxisState(memory, self._parts, first, second, len(self.limits), cause)
+        return TwoAxisState(memory, first, second, cause)
 
     def _status(self, before: TwoAxisState, after: TwoAxisState, answers: Any, fault: str) -> str:
         words = []

@@ -85,14 +85,12 @@ def fit_two_axes(
     each, fits = kind.steps(request) or 0, None
     for number in range(_ROUNDS):
         fits = _axes(kind, trials, begun, request, number * AXES * each, each, progress)
-        better = _refined(_simulators(fits), trials, begun)
         if any(fit.interrupted for fit in fits):
             break
+        better = _refined(_simulators(fits), trials, begun)
         if joint is None:
             better = replace(better, cross=_shared(_simulators(fits), trials, better))
-        moved = max(
-            float(np.abs(better.joint.mix - begun.joint.mix).max()), _apart(better.joint.frame, begun.joint.frame)
-        )
+        moved = max(_apart(better.joint.mix, begun.joint.mix), _apart(better.joint.frame, begun.joint.frame))
         changed = moved > _CHANGED or (better.cross is not None and begun.cross is None)
         begun = better
         if not changed:
