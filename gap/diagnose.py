@@ -22,10 +22,10 @@ from hystmpc.trials.types import Progress, no_progress
 
 from .decide.ambiguity import limited_by_inclusion, probability, ranking
 from .decide.attribution import Findings, as_given_if_better, attribute, confirm
-from .decide.remaining_structure import NAME, SHIFT, UNITS, Configuration, configuration_of
 from .decide.retuning import moved_numbers, retuned_with
 from .decide.stability import stability_of
-from .diagnosis import DetectableSizes, Diagnosis, IdentifiedEffect, Untestable
+from .decide.trial_differences import NAME, SHIFT, UNITS, Configuration, configuration_of, dependences_of
+from .diagnosis import DetectableSizes, Diagnosis, IdentifiedEffect, InputDependence, Untestable
 from .logs.detectable import smallest_detectable
 from .logs.preparation import PreparedTrials, prepare
 from .logs.simulated import as_simulated
@@ -187,11 +187,12 @@ def _localisation(prepared: PreparedTrials, seed: int) -> Localisation | None:
 
 
 def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagnosis:
-    from .report.words import reason_for
+    from .report.words import dependence_note, reason_for
 
     prepared, attribution, conclusion = findings.prepared, findings.attribution, findings.conclusion
     decision, jumps, hypothesis = conclusion.decision, attribution.jumps, attribution.retuned
     grouped = configuration_of(conclusion.chosen, prepared.everything)
+    follows = _dependences(findings)
     public = {SHIFT: NAME} if grouped else {}  # shifts of whole groups of trials are a configuration change
     probabilities = _probabilities(findings, public)
     effects = _effects(findings, probabilities, parameters, grouped)
@@ -218,19 +219,30 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
         gap=sizes,
         retuned={name: (nominal[name], retuned[name]) for name in nominal},
         where=dict(findings.localisation.places) if findings.localisation else {},
-        notes=(*checked.notes, *([decades.log_sizes(jumps).note(units.angle)] if jumps else [])),
+        notes=(
+            *checked.notes,
+            *([decades.log_sizes(jumps).note(units.angle)] if jumps else []),
+            *([dependence_note(follows, units.angle)] if follows else []),
+        ),
         order=prepared.order,
         untestable=_untestable(findings),
         stability=findings.stability,
         explainable_share=_explainable_share(findings),
         moved=moved,
         groups=grouped.groups if grouped else (),
+        depends_on=follows,
         detectable=findings.detectable,
         unit=units.angle,
         command_unit=units.command,
         simulator="given" if prepared.stand_in_rmse_deg is None else "stand_in",
         stand_in_rmse_deg=prepared.stand_in_rmse_deg,
     )
+
+
+def _dependences(findings: Findings) -> tuple[InputDependence, ...]:
+    """Dependence of the differences between trials on a measured input, in units of the log."""
+    found, decades = dependences_of(findings.conclusion.chosen, findings.prepared.everything), findings.prepared.decades
+    return tuple(replace(one, slope=decades.log_value(one.slope, UNITS[one.parameter])) for one in found)
 
 
 def _explainable_share(findings: Findings) -> float | None:

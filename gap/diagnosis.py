@@ -68,6 +68,24 @@ class IdentifiedEffect:
 
 
 @dataclass(frozen=True)
+class InputDependence:
+    """Slope of a difference between trials over a measured input.
+
+    Attributes:
+        input: name of the input.
+        parameter: offset_deg, gain_share or width_deg, as in a configuration change.
+        slope: of the parameter, per unit of the input.
+        share: of what differs between trials, explained by the input on trials left out.
+    """
+
+    input: str
+    parameter: str
+    slope: float
+    share: float
+    __repr__ = brief
+
+
+@dataclass(frozen=True)
 class ConfirmedShare:
     """Share of the structural gap that an effect closes in the user's own simulator, after a replay.
 
@@ -284,6 +302,7 @@ class Diagnosis:
         moved: parameters significantly changed by retuning; empty unless the verdict is `retuned`.
         groups: names of the trials that share a configuration, the largest group first; only with the effect
             `configuration_change`.
+        depends_on: measured input that explains what differs between trials, and how; empty without one.
         where: share of the residual by part of the motion.
         notes: faults and shortcomings of the trials, a sentence each.
         next_motion: proposed motion of the next recording; None if no hypothesis is open.
@@ -321,6 +340,7 @@ class Diagnosis:
     explainable_share: float | None = None
     moved: tuple[RetunedParameter, ...] = ()
     groups: tuple[tuple[str, ...], ...] = ()
+    depends_on: tuple[InputDependence, ...] = ()
     detectable: DetectableSizes | None = None
     unit: str = "deg"
     command_unit: str = "mm"

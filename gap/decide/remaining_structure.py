@@ -1,13 +1,11 @@
-"""Structure of motion and error that indicates a cause: stick-slip jumps, shifts of groups of trials, lack of fit."""
+"""Structure of motion and error that indicates a cause: stick-slip jumps, and lack of fit."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import final
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.cluster.hierarchy import fcluster, linkage
 
 from hystmpc.models.identify.cross_validation import Hypothesis
 from hystmpc.models.identify.runs import Run
@@ -15,119 +13,8 @@ from hystmpc.models.identify.selection import Selection
 from hystmpc.trials.types import Mat, Vec
 
 from ..logs.sensor import SensorSigns
+from .trial_differences import follows_trials
 from .verdict import STILL_OPEN
-
-NAME = "configuration_change"
-SHIFT = "trial_shift"
-UNITS = {"offset_deg": "deg", "gain_share": "1", "width_deg": "deg"}
-_LEAST_OF_GROUP = 2
-# Least share, on held-out trials, explained by shifts of 2 or 3 groups of that explained by shifts of each trial.
-_EXPLAINED = {2: 0.87, 3: 0.95}
-_RIDGE = 1e-9
-
-
-@dataclass(frozen=True)
-class Configuration:
-    """Groups of trials that share offset, gain and width.
-
-    Attributes:
-        groups: names of the trials of each group, the largest group first.
-        sizes: greatest difference between groups: `offset_deg` [deg at the mean angle], `gain_share` of the gain and,
-            if the core has a width, `width_deg` [deg, as change of the angle].
-    """
-
-    groups: tuple[tuple[str, ...], ...]
-    sizes: dict[str, float]
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class _Shifts:
-    """Normal equations of each trial's offset, gain and width.
-
-    Attributes:
-        square: X' X (R, K, K) of the terms.
-        product: X' e (R, K) with the error e.
-        energy: e' e (R,).
-        spread: root mean square of each term over all trials (K,).
-    """
-
-    square: Vec
-    product: Mat
-    energy: Vec
-    spread: Vec
-
-    def shared(self, runs: Sequence[int]) -> Vec:
-        """Least-squares coefficients (K,) common to some trials."""
-        square = self.square[runs].sum(axis=0)
-        ridge = _RIDGE * np.trace(square) * np.eye(len(square))
-        return np.asarray(np.linalg.solve(square + ridge, self.product[runs].sum(axis=0)), dtype=np.float64)
-
-    def left(self, run: int, shift: Vec) -> float:
-        """Sum of squared errors of a trial after correction by a shift."""
-        return float(self.energy[run] - 2 * shift @ self.product[run] + shift @ self.square[run] @ shift)
-
-    def left_out(self, groups: Sequence[Sequence[int]]) -> float:
-        """Leave-one-out sum of squared errors, each trial with the shift of the other trials of its group."""
-        return sum(self.left(r, self.shared([k for k in group if k != r])) for group in groups for r in group)
-
-
-def configuration_of(hypothesis: Hypothesis, runs: Sequence[Run]) -> Configuration | None:
-    """Groups of trials that explain shifts between trials; None if these scatter, or no effect shifts them.
-
-        share = (E_all - E_groups) / (E_all - E_own)
-
-    with the squared errors of one shift for all other trials, of the groups', and of each trial's own. The fewest
-    groups, of two trials or more, that reach 0.87 (0.95 for three groups) count. Groups are joined by Ward's method (J.
-    Am. Stat. Assoc. 58, 1963) on the angle changes by offset, gain and width of each trial.
-    """
-    if SHIFT not in hypothesis.effects or len(runs) < 2 * _LEAST_OF_GROUP:
-        return None
-    shifts = _shifts(hypothesis, runs)
-    everyone = list(range(len(runs)))
-    single = [shifts.shared([k]) for k in everyone]
-    alone = sum(shifts.left(k, shift) for k, shift in enumerate(single))
-    together = shifts.left_out([everyone])
-    if together <= alone:
-        return None
-    tree = linkage(np.array(single) * shifts.spread, "ward")
-    for count, least in _EXPLAINED.items():
-        labels = fcluster(tree, count, "maxclust")
-        groups = sorted(([k for k in everyone if labels[k] == g] for g in set(labels)), key=lambda g: (-len(g), g))
-        if min(len(g) for g in groups) < _LEAST_OF_GROUP:
-            continue
-        explained = (together - shifts.left_out(groups)) / (together - alone)
-        if explained >= least:
-            shared = np.array([shifts.shared(g) for g in groups])
-            names = tuple(UNITS)[: shared.shape[1]]
-            shared[:, 2:] *= shifts.spread[2:]
-            sizes = dict(zip(names, np.ptp(shared, axis=0).tolist(), strict=True))
-            return Configuration(tuple(tuple(runs[k].name for k in g) for g in groups), sizes)
-    return None
-
-
-def _shifts(hypothesis: Hypothesis, runs: Sequence[Run]) -> _Shifts:
-    """Normal equations for offset at the mean angle, gain and, if the core has one, width of each trial."""
-    problem, q = hypothesis.problem, hypothesis.q
-    terms = replace(problem.terms, shift=True, trial_offset=False, frequency_hz=0.0, width=problem.baseline.width)
-    parts = [problem.linearised(q, run) for run in runs]
-    middle = float(np.mean(np.concatenate([theta for theta, _ in parts])))
-    rows, errors = [], []
-    for run, (theta, by_q) in zip(runs, parts, strict=True):
-        x = terms.columns(run, theta[run.counts], by_q[run.counts])
-        x[:, 1] = theta[run.counts] - middle
-        if x.shape[1] < 2 + (terms.width >= 0):
-            x = np.column_stack([x, np.zeros(len(x))])
-        rows.append(x)
-        errors.append((theta - run.angle)[run.counts])
-    spread = np.sqrt(np.mean(np.concatenate(rows) ** 2, axis=0))
-    return _Shifts(
-        np.array([x.T @ x for x in rows]),
-        np.array([x.T @ e for x, e in zip(rows, errors, strict=True)]),
-        np.array([e @ e for e in errors]),
-        spread,
-    )
-
 
 _KNOTS = 10  # of a curve, in each direction
 _SLOW_S = 3.0
@@ -141,14 +28,15 @@ def structure_left(selection: Selection, runs: Sequence[Run], everything: Sequen
     """Lack of fit: whether the only selected effect leaves structure that contradicts it.
 
     A curved gain must leave no other curve of the angle, shifts between trials no slow change within them, and widths
-    of single trials must not form groups.
+    of single trials must form groups or follow a measured input.
 
     Args:
         everything: all runs; small groups show only in all of them.
         floor_mse: error below which there is no evidence [deg^2].
     """
     chosen, retuned = selection.chosen.hypothesis, selection.baseline.hypothesis
-    if chosen.problem.terms.shift and chosen.problem.terms.width >= 0 and configuration_of(chosen, everything) is None:
+    widths = chosen.problem.terms.shift and chosen.problem.terms.width >= 0
+    if widths and not follows_trials(chosen, everything):
         return True
     if chosen.effects == {"nonlinear_gain"}:
         before = retuned.mse - floor_mse

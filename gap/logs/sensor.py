@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,7 +102,7 @@ def repaired(trial: Trial, signs: SensorSigns, simulated: Vec | None = None) -> 
     if mask.any() and not mask.all():
         shape = np.zeros(len(trial)) if simulated is None else simulated
         angle[mask] = shape[mask] + np.interp(trial.t[mask], trial.t[~mask], (angle - shape)[~mask])
-    return Trial(trial.t, trial.command, angle, trial.channels, trial.units, trial.source)
+    return replace(trial, angle=angle)
 
 
 def _pace(trial: Trial) -> int:

@@ -19,6 +19,7 @@ from ..diagnosis import (
     Diagnosis,
     Gap,
     IdentifiedEffect,
+    InputDependence,
     RetunedParameter,
 )
 
@@ -81,6 +82,19 @@ def reason_for(
         "none": f"no structural gap: retuning leaves no more than noise and the simulator's own form error ({sizes})",
         "too_little": f"too little: {too_little} ({sizes})",
     }[decision.verdict]
+
+
+def dependence_note(follows: Sequence[InputDependence], unit: str) -> str:
+    """Sentence on the measured input that differences between trials follow, and what to do."""
+    name, units = follows[0].input, {"offset_deg": f" {unit}", "width_deg": f" {unit}", "gain_share": ""}
+    slopes = listed(
+        [f"{one.parameter.rsplit('_', 1)[0]} {one.slope:+.3g}{units[one.parameter]}" for one in follows], "and"
+    )
+    return (
+        f"What differs between trials follows the measured input {name}: {listed(slopes, 'and')} for each unit of it. "
+        f"This explains {percent(follows[0].share)} of the differences on trials left out. "
+        f"`hystmpc fit auto LOGS --input {name}` makes a simulator that depends on it."
+    )
 
 
 def _retuned_words(decision: VerdictDecision, gap: Gap, moved: Sequence[RetunedParameter], unit: str) -> str:

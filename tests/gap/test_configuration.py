@@ -1,4 +1,4 @@
-"""Trials that share a configuration are found by their groups; scatter from trial to trial has none."""
+"""Differences between trials: by groups that share a configuration, by a measured input, or without a pattern."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.gap.decide.remaining_structure import NAME, configuration_of
+from hystmpc.gap.decide.trial_differences import NAME, configuration_of, dependences_of
 from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.models.chain import Chain
 from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
@@ -65,6 +65,49 @@ def test_the_diagnosis_names_it_with_its_groups() -> None:
     assert {len(names) for names in found.groups} == {4}
     assert dict(found.ranking)[NAME] == found.effects[0].probability
     assert found.effects[0].units["offset_deg"] == "deg"
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.permutations([0.0, 0.0, 1.0, 2.0, 3.0, 3.0, 4.0, 7.0]), st.floats(-3.0, 3.0).filter(lambda x: abs(x) > 0.3))
+def test_a_measured_input_that_shifts_trials_is_recovered_with_its_slope(levels: list[float], slope: float) -> None:
+    hypothesis, _, validation = shifted([slope * z for z in levels])
+    noise = np.random.default_rng(0).normal(0.0, 0.05, 8)
+    runs = [
+        replace(run, inputs={"pressure_bar": np.full(run.angle.size, z), "other": np.full(run.angle.size, z + n)})
+        for run, z, n in zip(validation.runs, levels, 20 * noise, strict=True)
+    ]
+    (found,) = dependences_of(hypothesis, runs)
+    assert (found.input, found.parameter) == ("pressure_bar", "offset_deg")
+    assert found.slope == pytest.approx(slope, rel=0.1)
+    assert 0.87 <= found.share <= 1.02
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_scatter_follows_no_input(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    hypothesis, _, validation = shifted(random.normal(0.0, 3.0, 8).tolist(), seed)
+    runs = [
+        replace(run, inputs={"temperature": np.full(run.angle.size, z), "constant": np.ones(run.angle.size)})
+        for run, z in zip(validation.runs, random.normal(20.0, 2.0, 8), strict=True)
+    ]
+    assert dependences_of(hypothesis, runs) == ()
+    assert dependences_of(hypothesis, validation.runs) == ()
+
+
+def test_the_diagnosis_says_which_input_and_what_to_do() -> None:
+    levels = (1.0, 2.0, 3.0, 1.5, 2.5, 3.5, 1.2, 2.2)
+    trials = [
+        replace(trial, inputs={"pressure_bar": np.full(len(trial), z)})
+        for trial, z in zip(
+            trials_of(Chain(BACKLASH), COMMANDS, shifts=tuple(2.0 * z for z in levels)), levels, strict=True
+        )
+    ]
+    found = conclude(find_causes(trials, simulator_of(BACKLASH), only=("trial_shift", "drift")))[0]
+    (one,) = found.depends_on
+    assert one.input == "pressure_bar"
+    assert one.slope == pytest.approx(2.0, rel=0.1)
+    assert found.as_json()["depends_on"][0]["parameter"] == "offset_deg"
+    assert any("fit auto LOGS --input pressure_bar" in note for note in found.notes)
 
 
 def test_one_trial_has_no_shift_from_trial_to_trial() -> None:

@@ -139,6 +139,7 @@ def test_the_result_has_the_fixed_form() -> None:
         "resamples",
         "otherwise",
         "explainable_share",
+        "depends_on",
         "detectable",
         "moved",
         "groups",
