@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -89,7 +89,7 @@ def diagnose(
     _require_free(out)
     user = _user_simulator(simulator, allow_python, by_hand=simulated or confirm)
     chain = None if simulator is None or user is not None else chain_or_model(cast("Model", simulator))
-    recorded = _without_inputs(recorded_trials(as_list(trials), layout), say)
+    recorded = list(recorded_trials(as_list(trials), layout))
     read = _output_reader(layout)
     if simulated is not None:
         recorded = with_simulated(recorded, Path(simulated), read)
@@ -122,14 +122,6 @@ def diagnose(
             say=say,
         )
     return done.diagnosis
-
-
-def _without_inputs(trials: Iterable[Trial], say: Say | None) -> list[Trial]:
-    """Trials whose measured inputs are channels, which a diagnosis does not look at; `say` gets a note on them."""
-    recorded = list(trials)
-    if say is not None and (names := sorted({name for trial in recorded for name in trial.inputs})):
-        say(f"note: the logs name {', '.join(names)}; a diagnosis does not use measured inputs")
-    return [trial.with_inputs([]) for trial in recorded]
 
 
 def _require_free(out: Path | str | None) -> None:

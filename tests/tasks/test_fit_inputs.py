@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hystmpc.models.chain import Chain
 from hystmpc.models.simulator import load_simulator, save_simulator
 from hystmpc.tasks.check import check
 from hystmpc.tasks.diagnose import diagnose
@@ -15,8 +16,9 @@ from hystmpc.tasks.fit import fit
 from hystmpc.trials.errors import ConfigError, FitError, LogError, ModelError
 
 from ..ctrl.test_inputs import CHAIN
+from ..gap.engine_examples import moves, simulator_of, trials_of
 from ..models.test_auto_inputs import T, command, device
-from ..models.zoo import simulator
+from ..models.zoo import BACKLASH, simulator
 
 LEVELS = (1.0, 1.4, 2.0)
 
@@ -62,12 +64,21 @@ def test_what_cannot_use_an_input_says_so(logs: list[Path], tmp_path: Path) -> N
         check(logs, simulator=model)
 
 
-def test_a_diagnosis_says_that_it_does_not_use_the_inputs_of_the_logs(logs: list[Path], tmp_path: Path) -> None:
-    lines: list[str] = []
+def test_a_diagnosis_names_the_input_that_shifts_the_trials(tmp_path: Path) -> None:
+    levels = (1.0, 2.0, 3.0, 1.5, 2.5, 3.5)
+    commands = [moves(k, 10.0) for k in range(6)]
+    for k, trial in enumerate(trials_of(Chain(BACKLASH), commands, shifts=tuple(2.0 * z for z in levels))):
+        rows = "\n".join(
+            f"{t:.2f},{u:.6f},{y:.6f},{levels[k]}" for t, u, y in zip(trial.t, trial.command, trial.angle, strict=True)
+        )
+        (tmp_path / f"{k}.csv").write_text(f"time_s,command,angle_deg,bar\n{rows}\n")
     (tmp_path / "map.yaml").write_text("{time: time_s, command: command, angle: angle_deg, inputs: {pressure: bar}}")
-    with pytest.raises(ConfigError, match="got no simulator"):
-        diagnose(logs, None, layout=str(tmp_path / "map.yaml"), say=lines.append)
-    assert "note: the logs name pressure; a diagnosis does not use measured inputs" in lines
+    model = save_simulator(simulator_of(BACKLASH), tmp_path / "m.yaml")
+    only = ("trial_shift", "drift")
+    found = diagnose(sorted(tmp_path.glob("*.csv")), model, layout=str(tmp_path / "map.yaml"), only=only)
+    (one,) = found.depends_on
+    assert (one.input, one.parameter) == ("pressure", "offset_deg")
+    assert one.slope == pytest.approx(2.0, rel=0.1)
 
 
 def test_beyond_the_identified_range_is_said_and_a_missing_input_refuses(logs: list[Path], tmp_path: Path) -> None:
