@@ -36,6 +36,7 @@ _CHOPPY = 0.1  # share of jumps above which a signal has no usual step
 _LATE_S = 1.5  # greatest delay of an angle after its command
 _CLEARLY = 0.95  # ratio to the error of the previous repair below which another replaces it
 _SMOOTH = 2.0  # remaining size of the jumps after a repair, in greatest other steps
+_ROUGH = 3.0  # changes of the step, by which the step over a seam may differ from those beside it
 _FEW = 2  # jumps
 _LEAST = 10  # samples
 _LEAST_BIT = 7
@@ -173,11 +174,22 @@ def _jumps(values: Vec, other: Vec, late: int, is_command: bool) -> Encoding | N
     for key, value, repaired in _repairs(signal, size[big], usual):
         longest = float(np.abs(np.diff(repaired)).max())
         smooth = longest <= _SMOOTH * usual and longest <= 0.5 * float(size.max())  # no jump is left
-        if smooth and (left := _unexplained(repaired, witness, late, is_command)) < limit:
+        if smooth and _goes_on(repaired, np.flatnonzero(big)) and (left := _unexplained(repaired, witness, late, is_command)) < limit:
             whole = values.copy()
             whole[index] = repaired
             best, limit = Encoding(key, value, at, whole), _CLEARLY * left
     return best
+
+
+def _goes_on(repaired: Vec, seams: Index) -> bool:
+    """Whether the repaired signal crosses at least half of its seams as it moves before and after them.
+
+    A tip that slips also jumps once, but what a modulus then leaves is no motion between that before and that after.
+    """
+    steps = np.diff(repaired)
+    before, after = steps[np.maximum(seams - 1, 0)], steps[np.minimum(seams + 1, steps.size - 1)]
+    rough = float(np.percentile(np.abs(np.diff(steps)), _USUAL))
+    return bool(np.mean(np.abs(steps[seams] - 0.5 * (before + after)) <= np.abs(after - before) + _ROUGH * rough) >= 0.5)
 
 
 def _held(signal: Vec, command: Vec, jumps: Index) -> bool:

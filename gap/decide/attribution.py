@@ -42,7 +42,7 @@ class Attribution:
 
     Attributes:
         validation: development runs, on which hypotheses are fitted and compared.
-        inclusion: share of block resamples in which each effect is chosen.
+        inclusion: share of block resamples in which each effect is selected; 1 for a stick-slip named by its jumps.
         jumps: of the tip in steady motion, if they indicate stick-slip.
     """
 
@@ -101,6 +101,9 @@ def attribute(
     faults_mse = prepared.excess_mse
     selection = select(validation, library, SelectionSettings(), floor_mse, without, advance, faults_mse, form_share)
     baseline, grown = selection.baseline, width_grown(selection.chosen.hypothesis)
+    inclusion = inclusion_shares(selection, floor_mse, faults_mse, seed)
+    if jumping:
+        inclusion["stick_slip"] = 1.0  # its jumps show in the log itself, as a sensor's faults do
     step_mse = prepared.signs.quantisation_deg**2 / 12.0
     retuning = Retuning() if unusable else retuning_of(prepared, retuned, baseline.mse)
     if not unusable and grown >= WIDTH_GROWN:
@@ -109,7 +112,7 @@ def attribute(
         validation=validation,
         retuned=retuned,
         selection=selection,
-        inclusion=inclusion_shares(selection, floor_mse, seed),
+        inclusion=inclusion,
         jumps=jumps if jumping else None,
         facts=VerdictFacts(
             effects=selection.chosen.hypothesis.effects,

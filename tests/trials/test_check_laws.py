@@ -71,6 +71,20 @@ def test_a_sensor_that_holds_its_readings_for_long_does_not_wrap(seed: int) -> N
 
 
 @few
+@given(seeds, st.floats(4.0, 40.0), st.floats(0.6, 0.85), st.floats(0.0, 0.2))
+def test_a_tip_that_slips_once_does_not_wrap(seed: int, height: float, first: float, creeps: float) -> None:
+    """A stuck tip lets go under a held command and lands within two samples: what a modulus leaves is no motion."""
+    random, dt = np.random.default_rng(seed), 0.04
+    t = dt * np.arange(400)
+    at = int(random.integers(100, 300))
+    angle = creeps * height * np.clip((t - t[at]) / 4.0, -1.0, 0.0) + random.normal(0.0, 0.003 * height, t.size)
+    angle[at] += first * height
+    angle[at + 1 :] += height
+    trial = Trial(t, np.interp(t, [0.0, 2.0, 3.0], [0.0, 0.0, 2.0]), angle)
+    assert not said(check(trial), "numbers of angle")
+
+
+@few
 @given(seeds, st.sampled_from([np.pi, 2 * np.pi, 180.0, 360.0, *(2.0**bits for bits in range(8, 33))]), st.booleans())
 def test_a_wrap_is_named_and_its_key_takes_it_out(seed: int, modulus: float, signed: bool) -> None:
     random = np.random.default_rng(seed)
