@@ -188,7 +188,7 @@ def _goes_on(repaired: Vec, seams: Index) -> bool:
     """
     steps = np.diff(repaired)
     before, after = steps[np.maximum(seams - 1, 0)], steps[np.minimum(seams + 1, steps.size - 1)]
-    rough = float(np.percentile(np.abs(np.diff(steps)), _USUAL))
+    rough = float(np.percentile(np.abs(np.diff(steps)), 90.0))
     return bool(np.mean(np.abs(steps[seams] - 0.5 * (before + after)) <= np.abs(after - before) + _ROUGH * rough) >= 0.5)
 
 
