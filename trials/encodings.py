@@ -174,7 +174,8 @@ def _jumps(values: Vec, other: Vec, late: int, is_command: bool) -> Encoding | N
     for key, value, repaired in _repairs(signal, size[big], usual):
         longest = float(np.abs(np.diff(repaired)).max())
         smooth = longest <= _SMOOTH * usual and longest <= 0.5 * float(size.max())  # no jump is left
-        if smooth and _goes_on(repaired, np.flatnonzero(big)) and (left := _unexplained(repaired, witness, late, is_command)) < limit:
+        smooth = smooth and _goes_on(repaired, np.flatnonzero(big))
+        if smooth and (left := _unexplained(repaired, witness, late, is_command)) < limit:
             whole = values.copy()
             whole[index] = repaired
             best, limit = Encoding(key, value, at, whole), _CLEARLY * left
@@ -189,7 +190,8 @@ def _goes_on(repaired: Vec, seams: Index) -> bool:
     steps = np.diff(repaired)
     before, after = steps[np.maximum(seams - 1, 0)], steps[np.minimum(seams + 1, steps.size - 1)]
     rough = float(np.percentile(np.abs(np.diff(steps)), 90.0))
-    return bool(np.mean(np.abs(steps[seams] - 0.5 * (before + after)) <= np.abs(after - before) + _ROUGH * rough) >= 0.5)
+    off = np.abs(steps[seams] - 0.5 * (before + after))
+    return bool(np.mean(off <= np.abs(after - before) + _ROUGH * rough) >= 0.5)
 
 
 def _held(signal: Vec, command: Vec, jumps: Index) -> bool:
