@@ -43,6 +43,10 @@ Play: TypeAlias = Callable[[Sequence[Trial]], Sequence[Trial]]
 _STEPS, _CONCLUDED = 100, 97  # of the progress
 _LEFT_BY_A_ROUND = 0.6  # of the progress of the selection
 _STABILITY_UNKNOWN = 0.5
+_NOTHING_TO_PLAY = (
+    "No replay confirms this diagnosis: none of its effects acts on the command, so your simulator has nothing new to "
+    "play."
+)
 _SURE_OF_NONE = 0.95  # probability that nothing is missing where every resample says so
 
 
@@ -333,6 +337,8 @@ def _with_replays(findings: Findings, data: ReportData, play: Play | None) -> Re
         outputs = [as_simulated(trial) for trial in play(replays.trials)]
         shares, rmse = confirmed_shares(findings, replays, outputs)
         diagnosis = replace(diagnosis, confirmed=shares, confirmed_rmse_deg=rmse)
+    elif play is not None and diagnosis.effects:
+        diagnosis = replace(diagnosis, notes=(*diagnosis.notes, _NOTHING_TO_PLAY))
     return replace(data, diagnosis=diagnosis, replays=replays.trials)
 
 

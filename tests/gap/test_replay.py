@@ -14,6 +14,7 @@ import pytest
 import hystmpc
 from hystmpc.gap.diagnosis import Diagnosis
 from hystmpc.gap.logs.simulated import as_simulated, with_output
+from hystmpc.gap.replay import Replays
 from hystmpc.models.effects.catalogue import candidates
 from hystmpc.models.effects.effect import Scale
 from hystmpc.models.identify.baseline import baseline_of
@@ -148,3 +149,11 @@ def test_a_diagnosis_without_an_effect_on_the_command_has_nothing_to_replay(tmp_
     found = diagnosed(trials_of(seconds=20.0), out=tmp_path / "d")
     assert (found.verdict, found.replay, dict(found.confirmed)) == ("none", (), {})
     assert not (tmp_path / "d" / "replay").exists()
+
+
+@pytest.mark.slow
+def test_effects_that_no_replay_tests_are_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hystmpc.gap.replay.replays_of", lambda findings: Replays({}, (), ()))
+    found = diagnosed(trials_of(lagged), confirm=tmp_path)
+    assert found.effects
+    assert any("No replay confirms" in note for note in found.notes)
