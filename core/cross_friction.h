@@ -1,6 +1,6 @@
 /* Friction that two bending axes share: what a friction whose force is a vector adds to that of each axis alone.
  *
- *     v' = (w - v) / tau                                travels behind the drives (2)
+ *     v' = (w(t - delay) - v) / tau                     travels behind the drives (2)
  *     b_j <- v - (v - b_j) min(1, r_j / |v - b_j|)      play of radius r_j in the plane: b follows v at a distance
  *     p_ji <- max(v_i - r_j, min(v_i + r_j, p_ji))      the same of each axis alone
  *     c_i = sum_j k_ij (b_ji - p_ji)                    zero in motions of one axis
@@ -12,17 +12,20 @@
 #include "hystmpc_core.h"
 #include "real.h"
 
-enum { HYSTMPC_CROSS_MOST = 8 }; /* plays, at most */
+enum {
+    HYSTMPC_CROSS_MOST = 8,  /* plays, at most */
+    HYSTMPC_CROSS_LATE = 16  /* samples of delay, at most */
+};
 
 typedef struct {
     int plays;           /* J */
-    int spare;
-    real keep;           /* exp(-dt / tau), 0 without a drive */
+    int delay;           /* D samples */
+    real keep;           /* exp(-dt / tau), 0 without a lag */
     const real *radii;   /* r (J) */
     const real *weights; /* k (2, J) */
 } hystmpc_cross_friction;
 
-/* Numbers of a state: v (2), b (J, 2), p (J, 2). */
+/* Numbers of a state: v (2), b (J, 2), p (J, 2), then travels on their way (D, 2), the next one first. */
 HYSTMPC_API int hystmpc_cross_states(const void *friction);
 
 /* The state (see above) at rest at travels w (2). */
@@ -30,5 +33,12 @@ HYSTMPC_API void hystmpc_cross_rest(const void *friction, const real *w, real *s
 
 /* T samples of travels w (2, T): c (2, T) behind each; the state moves on. Null for c: the state alone. */
 HYSTMPC_API void hystmpc_cross_run(const void *friction, int samples, const real *w, real *state, real *c);
+
+/* Numbers of room for the derivatives. */
+HYSTMPC_LOCAL long hystmpc_cross_room(const hystmpc_cross_friction *f, int samples);
+
+/* The same with derivatives of c_i in sample t by w_a in sample s <= t, added to slopes (2, 2, T, T); rows i, a, t. */
+HYSTMPC_LOCAL void hystmpc_cross_slopes(const hystmpc_cross_friction *f, int samples, const real *w, real *state, real *c,
+                                        real *slopes, real *room);
 
 #endif
