@@ -43,6 +43,7 @@ typedef struct {
     real *rub;      /* the shared friction c along the plans (2, H) */
     real *bends;    /* room for its derivatives */
     real *jacobian; /* (2, H, n, H) */
+    real *asked;    /* moves that the reference asks for (n, H) */
     real *better;   /* (n H + 1): other plans, and their foreseen cost */
     real *travels, *y, *theta, *wanted; /* (2, H) */
     real *state[HYSTMPC_AXES];
@@ -255,7 +256,7 @@ static int axes_slopes(const axes_call *c, axes_joint *q) {
 static long axes_joint_room(const hystmpc_axes *a) {
     const long h = a->first->law->horizon, n = a->commands;
     long numbers = room_for(axes_program(a->law)) + room_for(2L * hystmpc_program_unknowns(a->law));
-    numbers += room_for(4 * h * h) + room_for(2 * h * n * h) + room_for(n * h + 1) + 5 * room_for(2 * h);
+    numbers += room_for(4 * h * h) + room_for(2 * h * n * h) + room_for(n * h + 1) + 5 * room_for(2 * h) + room_for(n * h);
     if (a->cross) numbers += room_for(hystmpc_cross_room(a->cross, (int)h));
     for (int i = 0; i < HYSTMPC_AXES; i++) numbers += room_for(hystmpc_model_states(axes_problem(a, i)->model));
     return numbers;
@@ -271,7 +272,11 @@ long hystmpc_axes_room_bytes(const void *axes) {
            (a->law ? axes_joint_room(a) : 0L) + inner;
 }
 
-/* Memory of a joint program, the states from which predictions start, and what is wanted of the models (2, H). */
+/* Memory of a joint program, the states from which predictions start, and what is wanted of the models (2, H).
+ *
+ * Where friction is shared, moves cost by what they are more than those of the reference at the axes' static gains: of a
+ * motion at constant speed nothing. What a plan does beside it is worth little, since a dead band that the other axis
+ * removes is not known well. */
 static void axes_lay_out(const axes_call *c, const real *reference, axes_joint *q, char *room) {
     const hystmpc_axes *const a = c->a;
     const long h = c->horizon, n = a->commands;
@@ -281,6 +286,7 @@ static void axes_lay_out(const axes_call *c, const real *reference, axes_joint *
     q->slopes = room_take(&room, 4 * h * h);
     q->jacobian = room_take(&room, 2 * h * n * h);
     q->better = room_take(&room, n * h + 1);
+    q->asked = room_take(&room, n * h);
     real **const rows[5] = {&q->travels, &q->y, &q->theta, &q->wanted, &q->rub};
     for (int i = 0; i < 5; i++) *rows[i] = room_take(&room, 2 * h);
     q->bends = a->cross ? room_take(&room, hystmpc_cross_room(a->cross, (int)h)) : NULL;
@@ -292,6 +298,14 @@ static void axes_lay_out(const axes_call *c, const real *reference, axes_joint *
         for (int k = 0; k < h; k++) q->y[i * h + k] = reference[i * (h + delay) + delay + k] - off;
     }
     for (int k = 0; k < h; k++) axes_map(a->frame, HYSTMPC_AXES, HYSTMPC_AXES, q->y + k, (int)h, q->wanted + k, (int)h);
+    for (int k = 0; k < h; k++) {
+        real moves[HYSTMPC_AXES];
+        for (int i = 0; i < HYSTMPC_AXES; i++) {
+            const real slope = c->axis[i].p->law->slope, *const y = q->y + i * h + (k + 1 < h ? k : k - 1);
+            moves[i] = a->cross && h > 1 && slope > R(0.0) ? (y[1] - y[0]) / slope : R(0.0);
+        }
+        axes_map(a->unmix, (int)n, HYSTMPC_AXES, moves, 1, q->asked + k, (int)h);
+    }
     q->room = room;
 }
 
@@ -327,7 +341,7 @@ static int axes_weigh(axes_call *c, const real *reference, const real *ahead, re
     axes_joint q;
     axes_lay_out(c, reference, &q, room);
     for (int j = 0; j < n; j++) {
-        tasks[j] = (hystmpc_task){q.wanted, plans + j * h, c->last[j], a->first->law->rate_weight, -INFINITE, INFINITE, NULL};
+        tasks[j] = (hystmpc_task){q.wanted, plans + j * h, c->last[j], a->first->law->rate_weight, -INFINITE, INFINITE, NULL, q.asked + j * h};
         if (j < HYSTMPC_AXES) tasks[j].reference += j * h;
         if (j) tasks[j - 1].next = tasks + j;
     }

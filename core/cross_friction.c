@@ -49,11 +49,39 @@ static void cross_slide_slopes(const cross_slopes *d, int j, int count, real sha
         if (slid[i]) copy(d->lagged, d->alone + (2 * j + i) * t, count);
 }
 
+/* Products of the travels for axis i, and their derivatives by both travels (2, 5). */
+static void cross_products(const real *v, int i, real *made, real *by) {
+    const real x = v[i], o = v[1 - i];
+    const real products[HYSTMPC_COUPLED] = {x * o, o * o, x * o * o, x * x * o, o * o * o};
+    const real by_own[HYSTMPC_COUPLED] = {o, R(0.0), o * o, R(2.0) * x * o, R(0.0)};
+    const real by_other[HYSTMPC_COUPLED] = {x, R(2.0) * o, R(2.0) * x * o, x * x, R(3.0) * o * o};
+    copy(products, made, HYSTMPC_COUPLED);
+    copy(by_own, by + i * HYSTMPC_COUPLED, HYSTMPC_COUPLED);
+    copy(by_other, by + (1 - i) * HYSTMPC_COUPLED, HYSTMPC_COUPLED);
+}
+
+/* Static coupling at travels v: added to c (2), and its derivatives to the rows. */
+static void cross_couple(const hystmpc_cross_friction *f, const real *v, real *sum, const cross_slopes *d, int count,
+                         real *const *rows) {
+    for (int i = 0; f->coupling && i < 2; i++) {
+        const real *const weights = f->coupling + i * HYSTMPC_COUPLED;
+        real made[HYSTMPC_COUPLED], by[2 * HYSTMPC_COUPLED];
+        cross_products(v, i, made, by);
+        for (int k = 0; k < HYSTMPC_COUPLED; k++) sum[i] += weights[k] * made[k];
+        for (int a = 0; d && a < 2; a++) {
+            real slope = R(0.0);
+            for (int k = 0; k < HYSTMPC_COUPLED; k++) slope += weights[k] * by[a * HYSTMPC_COUPLED + k];
+            add_rows(rows[2 * i + a], count, &slope, 1, d->lagged, 0, 1);
+        }
+    }
+}
+
 /* One sample at input w (2): c (2), and its derivatives by the first `count` samples where there are any. */
 static void cross_sample(const hystmpc_cross_friction *f, const real *w, real *state, real *sum, const cross_slopes *d,
                          int count, real *const *rows) {
     real *const v = state, *const both = state + 2, *const alone = both + 2 * f->plays;
     for (int i = 0; i < 2; i++) v[i] = w[i] + f->keep * (v[i] - w[i]), sum[i] = R(0.0);
+    cross_couple(f, v, sum, d, count, rows);
     for (int j = 0; j < f->plays; j++) {
         real along[2];
         const real before[2] = {alone[2 * j], alone[2 * j + 1]};

@@ -23,6 +23,7 @@ from .model import AXES, CrossFriction, TwoAxisModel
 _CHANGED = 0.005  # change of a joint's number after which the axes are identified once more
 _ROUNDS = 2
 _MOVES = 0.1  # of the greatest range of its travel: an axis that moves less in a trial is not identified from it
+_RESTS = 0.02  # of the same: an axis that moves less leaves the other one alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +67,10 @@ def fit_two_axes(
 
     First the joint of the axes, then a model of each axis by `kind`, then the joint's numbers once more with these
     models, and the friction that both axes share; where these change anything, the axes once more.
+
+    An axis is first identified from the trials in which it moves alone, if there are any: what both share is zero there.
+    From all trials it would have less friction than it has alone, since the other axis removes some, and what both share
+    would be identified from what is left by that.
 
     Args:
         kind: readable kind of model of each axis, such as `auto`.
@@ -136,8 +141,12 @@ def _shared(axes: tuple[Simulator, Simulator], trials: Sequence[Trial], begun: _
 def _axis_trials(trials: Sequence[Trial], begun: _Begun, axis: int) -> list[Trial]:
     """Trials in which an axis moves: its travel w, and its angle y without the friction that both axes share."""
     back, mix = np.linalg.inv(begun.joint.frame), begun.joint.mix
-    spans = [float(np.ptp(trial.commands @ mix[axis])) for trial in trials]
-    moving = [trial for trial, span in zip(trials, spans, strict=True) if span > _MOVES * max(spans)]
+    spans = np.array([np.ptp(trial.commands @ mix.T, axis=0) for trial in trials])
+    share = spans / spans.max(axis=0)
+    moving = [trial for trial, one in zip(trials, share, strict=True) if one[axis] > _MOVES]
+    alone = [trial for trial, one in zip(trials, share, strict=True) if one[axis] > _MOVES and one[1 - axis] < _RESTS]
+    if begun.cross is None and alone:
+        moving = alone
     return [
         replace(
             trial,
