@@ -272,11 +272,24 @@ long hystmpc_axes_room_bytes(const void *axes) {
            (a->law ? axes_joint_room(a) : 0L) + inner;
 }
 
-/* Memory of a joint program, the states from which predictions start, and what is wanted of the models (2, H).
- *
- * Where friction is shared, moves cost by what they are more than those of the reference at the axes' static gains: of a
- * motion at constant speed nothing. What a plan does beside it is worth little, since a dead band that the other axis
- * removes is not known well. */
+/* Moves of the commands (n, H) that the wanted angles in q->y ask for at the axes' static gains, where friction is shared;
+ * else none. They cost nothing. What a plan moves beside them is worth less, since a dead band that the other axis removes
+ * is not known well. */
+static void axes_ask(const axes_call *c, axes_joint *q) {
+    const hystmpc_axes *const a = c->a;
+    const int h = c->horizon;
+    for (int k = 0; k < h; k++) {
+        real moves[HYSTMPC_AXES] = {R(0.0), R(0.0)};
+        const int to = k + 1 < h ? k + 1 : k;
+        for (int i = 0; i < HYSTMPC_AXES && to > 0; i++) {
+            const real slope = c->axis[i].p->law->slope, *const y = q->y + i * h;
+            if (a->cross && slope > R(0.0)) moves[i] = (y[to] - y[to - 1]) / slope;
+        }
+        axes_map(a->unmix, a->commands, HYSTMPC_AXES, moves, 1, q->asked + k, h);
+    }
+}
+
+/* Memory of a joint program, the states from which predictions start, and what is wanted of the models (2, H). */
 static void axes_lay_out(const axes_call *c, const real *reference, axes_joint *q, char *room) {
     const hystmpc_axes *const a = c->a;
     const long h = c->horizon, n = a->commands;
@@ -298,14 +311,7 @@ static void axes_lay_out(const axes_call *c, const real *reference, axes_joint *
         for (int k = 0; k < h; k++) q->y[i * h + k] = reference[i * (h + delay) + delay + k] - off;
     }
     for (int k = 0; k < h; k++) axes_map(a->frame, HYSTMPC_AXES, HYSTMPC_AXES, q->y + k, (int)h, q->wanted + k, (int)h);
-    for (int k = 0; k < h; k++) {
-        real moves[HYSTMPC_AXES];
-        for (int i = 0; i < HYSTMPC_AXES; i++) {
-            const real slope = c->axis[i].p->law->slope, *const y = q->y + i * h + (k + 1 < h ? k : k - 1);
-            moves[i] = a->cross && h > 1 && slope > R(0.0) ? (y[1] - y[0]) / slope : R(0.0);
-        }
-        axes_map(a->unmix, (int)n, HYSTMPC_AXES, moves, 1, q->asked + k, (int)h);
-    }
+    axes_ask(c, q);
     q->room = room;
 }
 
@@ -341,7 +347,9 @@ static int axes_weigh(axes_call *c, const real *reference, const real *ahead, re
     axes_joint q;
     axes_lay_out(c, reference, &q, room);
     for (int j = 0; j < n; j++) {
-        tasks[j] = (hystmpc_task){q.wanted, plans + j * h, c->last[j], a->first->law->rate_weight, -INFINITE, INFINITE, NULL, q.asked + j * h};
+        tasks[j] = (hystmpc_task){
+            .reference = q.wanted, .feedforward = plans + j * h, .u_last = c->last[j],
+            .rate_weight = a->first->law->rate_weight, .low = -INFINITE, .high = INFINITE, .asked = q.asked + j * h};
         if (j < HYSTMPC_AXES) tasks[j].reference += j * h;
         if (j) tasks[j - 1].next = tasks + j;
     }

@@ -122,10 +122,13 @@ void hystmpc_cross_run(const void *friction, int samples, const real *w, real *s
     cross_samples(friction, samples, w, state, c, NULL, NULL);
 }
 
-long hystmpc_cross_room(const hystmpc_cross_friction *f, int samples) { return (1 + 6L * f->plays) * samples; }
+long hystmpc_cross_room(const void *friction, int samples) {
+    const hystmpc_cross_friction *const f = friction;
+    return (1 + 6L * f->plays) * samples;
+}
 
-void hystmpc_cross_slopes(const hystmpc_cross_friction *f, int samples, const real *w, real *state, real *c, real *slopes,
-                          real *room) {
+void hystmpc_cross_slopes(const void *friction, int samples, const real *w, real *state, real *c, real *slopes, real *room) {
+    const hystmpc_cross_friction *const f = friction;
     const cross_slopes d = {samples, room, room + samples, room + (1L + 4 * f->plays) * samples};
     fill(room, R(0.0), (int)hystmpc_cross_room(f, samples));
     cross_samples(f, samples, w, state, c, &d, slopes);

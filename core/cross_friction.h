@@ -38,10 +38,10 @@ HYSTMPC_API void hystmpc_cross_rest(const void *friction, const real *w, real *s
 HYSTMPC_API void hystmpc_cross_run(const void *friction, int samples, const real *w, real *state, real *c);
 
 /* Numbers of room for the derivatives. */
-HYSTMPC_LOCAL long hystmpc_cross_room(const hystmpc_cross_friction *f, int samples);
+HYSTMPC_API long hystmpc_cross_room(const void *friction, int samples);
 
 /* The same with derivatives of c_i in sample t by w_a in sample s <= t, added to slopes (2, 2, T, T); rows i, a, t. */
-HYSTMPC_LOCAL void hystmpc_cross_slopes(const hystmpc_cross_friction *f, int samples, const real *w, real *state, real *c,
-                                        real *slopes, real *room);
+HYSTMPC_API void hystmpc_cross_slopes(const void *friction, int samples, const real *w, real *state, real *c,
+                                      real *slopes, real *room);
 
 #endif

@@ -37,7 +37,7 @@ from ..problem import CHANGES
 Predictive = TypeVar("Predictive", bound=PredictiveSettings)
 _PREDICTIVE = constants()["HYSTMPC_PREDICTIVE"]
 _COMMAND = layout("hystmpc_command")
-_DEAR_S, _TOLERANCE = float(__import__("os").environ.get("DEAR","0.012")), float(__import__("os").environ.get("TOL","0.25"))  # where friction is shared: T [s]; tolerance of a hold, of the model's error
+_DEAR_S, _TOLERANCE = 0.018, 0.25  # where friction is shared: T [s]; tolerance of a hold, of the model's error
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,7 @@ from .cross import shared_friction
 from .joints import FREE, Chosen, Joint, choose_joint, matrices
 from .model import AXES, CrossFriction, TwoAxisModel
 
+Fits = tuple[Identified, Identified]
 _CHANGED = 0.005  # change of a joint's number after which the axes are identified once more
 _ROUNDS = 2
 _MOVES = 0.1  # of the greatest range of its travel: an axis that moves less in a trial is not identified from it
@@ -68,9 +69,9 @@ def fit_two_axes(
     First the joint of the axes, then a model of each axis by `kind`, then the joint's numbers once more with these
     models, and the friction that both axes share; where these change anything, the axes once more.
 
-    An axis is first identified from the trials in which it moves alone, if there are any: what both share is zero there.
-    From all trials it would have less friction than it has alone, since the other axis removes some, and what both share
-    would be identified from what is left by that.
+    At first each axis is identified twice: from all trials, and from those in which it moves alone, if there are any. What
+    both share is zero in these. From all trials it has less friction than alone, since the other axis removes some, but
+    knows more of its range. Of both the one is kept of which less is left once the shared friction is identified.
 
     Args:
         kind: readable kind of model of each axis, such as `auto`.
@@ -89,9 +90,15 @@ def fit_two_axes(
     begun = _Begun(chosen.joint, None)
     each, fits = kind.steps(request) or 0, None
     for number in range(_ROUNDS):
-        fits = _axes(kind, trials, begun, request, number * AXES * each, each, progress)
+        moving = [_axis_trials(trials, begun, axis) for axis in range(AXES)]
+        fits = _axes(kind, moving, request, 2 * number * AXES * each, each, progress)
         if any(fit.interrupted for fit in fits):
             break
+        if number == 0 and joint is None:
+            alone = [_axis_trials(trials, begun, axis, alone=True) for axis in range(AXES)]
+            if all(alone):
+                others = _axes(kind, alone, request, AXES * each, each, progress)
+                fits = _less_left(fits, others, trials, begun)
         better = _refined(_simulators(fits), trials, begun)
         if joint is None:
             better = replace(better, cross=_shared(_simulators(fits), trials, better))
@@ -127,26 +134,46 @@ def _simulators(fits: tuple[Identified, Identified]) -> tuple[Simulator, Simulat
     return x, y
 
 
+def _less_left(fits: Fits, others: Fits, trials: Sequence[Trial], begun: _Begun) -> Fits:
+    """Of each axis the fit of which less is left once the friction that both share is identified."""
+    squares = []
+    for one in (fits, others):
+        axes = _simulators(one)
+        shared = replace(begun, cross=_shared(axes, trials, begun))
+        travels, left = _left(axes, trials, begun)
+        unknown = [e - shared.shared(w, trials[0].dt) for w, e in zip(travels, left, strict=True)]
+        squares.append(np.sum([np.sum((e - e.mean(0)) ** 2, axis=0) for e in unknown], axis=0))
+    x, y = (other if better else fit for fit, other, better in zip(fits, others, squares[1] < squares[0], strict=True))
+    return x, y
+
+
 def _shared(axes: tuple[Simulator, Simulator], trials: Sequence[Trial], begun: _Begun) -> CrossFriction | None:
     """The friction that both axes share, by what their models leave of the trials."""
+    return shared_friction(*_left(axes, trials, begun), trials[0].dt)
+
+
+def _left(
+    axes: tuple[Simulator, Simulator], trials: Sequence[Trial], begun: _Begun
+) -> tuple[list[Vec], list[Vec]]:
+    """Travels (T, 2) of every trial, and what the models of the axes leave of its angles (T, 2) [deg]."""
     travels = [trial.commands @ begun.joint.mix.T for trial in trials]
     left = []
     for trial, w in zip(trials, travels, strict=True):
         y = trial.angles @ np.linalg.inv(begun.joint.frame).T
         runs = [ChainModel(axis).run(np.ascontiguousarray(w[:, i]), float(y[0, i])) for i, axis in enumerate(axes)]
         left.append(y - np.stack(runs, axis=1))
-    return shared_friction(travels, left, trials[0].dt)
+    return travels, left
 
 
-def _axis_trials(trials: Sequence[Trial], begun: _Begun, axis: int) -> list[Trial]:
-    """Trials in which an axis moves: its travel w, and its angle y without the friction that both axes share."""
+def _axis_trials(trials: Sequence[Trial], begun: _Begun, axis: int, *, alone: bool = False) -> list[Trial]:
+    """Trials in which an axis moves, or moves alone: travel w, and angle y without the friction that both axes share."""
     back, mix = np.linalg.inv(begun.joint.frame), begun.joint.mix
     spans = np.array([np.ptp(trial.commands @ mix.T, axis=0) for trial in trials])
     share = spans / spans.max(axis=0)
-    moving = [trial for trial, one in zip(trials, share, strict=True) if one[axis] > _MOVES]
-    alone = [trial for trial, one in zip(trials, share, strict=True) if one[axis] > _MOVES and one[1 - axis] < _RESTS]
-    if begun.cross is None and alone:
-        moving = alone
+    others = _RESTS if alone else np.inf
+    moving = [
+        trial for trial, one in zip(trials, share, strict=True) if one[axis] > _MOVES and one[1 - axis] < others
+    ]
     return [
         replace(
             trial,
@@ -161,13 +188,13 @@ def _axis_trials(trials: Sequence[Trial], begun: _Begun, axis: int) -> list[Tria
 
 def _axes(
     kind: ModelKind,
-    trials: Sequence[Trial],
-    begun: _Begun,
+    trials: Sequence[list[Trial]],
     request: FitRequest,
     done: int,
     each: int,
     progress: FitProgress | None,
-) -> tuple[Identified, Identified]:
+) -> Fits:
+    """A model of each axis from its trials."""
     made = []
     for axis in range(AXES):
 
@@ -175,7 +202,7 @@ def _axes(
             if progress is not None:
                 progress(before + step, rmse)
 
-        made.append(identified(kind, _axis_trials(trials, begun, axis), request, tell))
+        made.append(identified(kind, trials[axis], request, tell))
     return made[0], made[1]
 
 
