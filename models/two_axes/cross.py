@@ -9,7 +9,7 @@ import numpy as np
 
 from hystmpc.trials.types import Vec
 
-from .model import AXES, COUPLED, CrossFriction
+from .model import AXES, COUPLED, Coupled, CrossFriction
 
 SHARES = (0.005, 0.01, 0.02, 0.035, 0.06, 0.1, 0.16)
 """Radii that are offered, as shares of the greatest range of a travel."""
@@ -23,12 +23,12 @@ _PARTS = 6  # parts that are left out one after another
 
 
 def shared_friction(travels: Sequence[Vec], left: Sequence[Vec], dt_s: float) -> CrossFriction | None:
-    """Friction and coupling of least error on what the models of both axes leave; None where parts left out do not need it.
+    """Friction and coupling of least error on what the models of both axes leave; None if parts left out need neither.
 
         min_k sum_t |e_i - o - sum_j k_ij z_ji|^2 + ridge sum_j s_j^2 k_ij^2,    o of each trial, s_j the size of z_j
 
-    z are the plays b_j - p_j, and in a second search the products of the travels too, see `CrossFriction`. Either is kept
-    where the mean square error on parts left out falls by more than its standard error.
+    z are the plays b_j - p_j, and in a second search the products of the travels too, see `CrossFriction`. Either is
+    kept where the mean square error on parts left out falls by more than its standard error.
 
     Args:
         travels: w (T, 2) of every trial.
@@ -64,15 +64,13 @@ class _Fitted:
     squares: Vec
 
     @classmethod
-    def of(
-        cls, travels: Sequence[Vec], target: Vec, dt_s: float, drive: tuple[float, float], coupled: bool
-    ) -> _Fitted:
+    def of(cls, travels: Sequence[Vec], target: Vec, dt_s: float, drive: tuple[float, float], coupled: bool) -> _Fitted:
         """With the products of the travels where `coupled`."""
         span = max(float(np.ptp(w, axis=0).max()) for w in travels)
         radii, blocks = tuple(share * span for share in SHARES), []
         parts = [CrossFriction(lag_s=0.0, radii=(r,), weights=((1.0,), (1.0,))) for r in radii]
         if coupled:
-            units = np.eye(COUPLED).tolist()
+            units = [_coupled(row) for row in np.eye(COUPLED).tolist()]
             parts += [CrossFriction(lag_s=0.0, radii=(), weights=((), ()), coupling=(one, one)) for one in units]
         parts = [part.model_copy(update={"delay_s": drive[0], "lag_s": drive[1]}) for part in parts]
         for w in travels:
@@ -90,8 +88,13 @@ class _Fitted:
             lag_s=self.drive[1],
             radii=self.radii,
             weights=(tuple(x[:count]), tuple(y[:count])),
-            coupling=(tuple(x[count:]), tuple(y[count:])) if len(x) > count else None,
+            coupling=(_coupled(x[count:]), _coupled(y[count:])) if len(x) > count else None,
         )
+
+
+def _coupled(weights: Sequence[float]) -> Coupled:
+    a, b, c, d, e = weights
+    return a, b, c, d, e
 
 
 def _squares(target: Vec, columns: Vec | None) -> Vec:

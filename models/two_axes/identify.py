@@ -69,9 +69,9 @@ def fit_two_axes(
     First the joint of the axes, then a model of each axis by `kind`, then the joint's numbers once more with these
     models, and the friction that both axes share; where these change anything, the axes once more.
 
-    At first each axis is identified twice: from all trials, and from those in which it moves alone, if there are any. What
-    both share is zero in these. From all trials it has less friction than alone, since the other axis removes some, but
-    knows more of its range. Of both the one is kept of which less is left once the shared friction is identified.
+    At first each axis is identified twice: from all trials, and from those in which it moves alone, if both do in some.
+    What both share is zero in these. From all trials an axis has less friction than alone, since the other one removes
+    some, but knows more of its range. The fit is kept of which less is left once the shared friction is identified.
 
     Args:
         kind: readable kind of model of each axis, such as `auto`.
@@ -152,9 +152,7 @@ def _shared(axes: tuple[Simulator, Simulator], trials: Sequence[Trial], begun: _
     return shared_friction(*_left(axes, trials, begun), trials[0].dt)
 
 
-def _left(
-    axes: tuple[Simulator, Simulator], trials: Sequence[Trial], begun: _Begun
-) -> tuple[list[Vec], list[Vec]]:
+def _left(axes: tuple[Simulator, Simulator], trials: Sequence[Trial], begun: _Begun) -> tuple[list[Vec], list[Vec]]:
     """Travels (T, 2) of every trial, and what the models of the axes leave of its angles (T, 2) [deg]."""
     travels = [trial.commands @ begun.joint.mix.T for trial in trials]
     left = []
@@ -166,14 +164,12 @@ def _left(
 
 
 def _axis_trials(trials: Sequence[Trial], begun: _Begun, axis: int, *, alone: bool = False) -> list[Trial]:
-    """Trials in which an axis moves, or moves alone: travel w, and angle y without the friction that both axes share."""
+    """Trials in which an axis moves, or moves alone: its travel w, and its angle y without what both axes share."""
     back, mix = np.linalg.inv(begun.joint.frame), begun.joint.mix
     spans = np.array([np.ptp(trial.commands @ mix.T, axis=0) for trial in trials])
     share = spans / spans.max(axis=0)
     others = _RESTS if alone else np.inf
-    moving = [
-        trial for trial, one in zip(trials, share, strict=True) if one[axis] > _MOVES and one[1 - axis] < others
-    ]
+    moving = [trial for trial, one in zip(trials, share, strict=True) if one[axis] > _MOVES and one[1 - axis] < others]
     return [
         replace(
             trial,

@@ -143,7 +143,7 @@ def test_at_rest_of_both_references_the_commands_cease() -> None:
 
 
 def test_both_axes_together_reverse_without_an_oscillation() -> None:
-    """A motion of y removes the dead band of x, whose wanted angle is constant: x moves to and fro hardly more than once."""
+    """A motion of y removes the dead band of x, whose wanted angle is constant: x hardly moves to and fro."""
     model = two_axes(cross=CrossFriction(lag_s=0.0, radii=(0.3,), weights=((6.0,), (6.0,))))
     controller, device = controller_of(model, KINDS[0]), Device(model)
     state, angles, sent = controller.init((0.0, 0.0), (0.0, 0.0)), np.zeros(2), []
