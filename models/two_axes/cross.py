@@ -36,10 +36,10 @@ def shared_friction(travels: Sequence[Vec], left: Sequence[Vec], dt_s: float) ->
         dt_s: sample time [s].
     """
     target = np.vstack([e - e.mean(0) for e in left])
-    kept: _Fitted | None = None
+    kept: _SharedFit | None = None
     for coupled in (False, True):
         best = min(
-            (_Fitted.of(travels, target, dt_s, drive, coupled) for drive in _drives(dt_s)),
+            (_SharedFit.of(travels, target, dt_s, drive, coupled) for drive in _drives(dt_s)),
             key=lambda one: float(one.squares.mean()),
         )
         gain = (_squares(target, None) if kept is None else kept.squares) - best.squares
@@ -55,7 +55,7 @@ def _drives(dt_s: float) -> list[tuple[float, float]]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Fitted:
+class _SharedFit:
     """Columns (T, 2, K) behind a drive, and mean square errors on parts left out (parts,)."""
 
     radii: tuple[float, ...]
@@ -64,7 +64,7 @@ class _Fitted:
     squares: Vec
 
     @classmethod
-    def of(cls, travels: Sequence[Vec], target: Vec, dt_s: float, drive: tuple[float, float], coupled: bool) -> _Fitted:
+    def of(cls, travels: Sequence[Vec], target: Vec, dt_s: float, drive: tuple[float, float], coupled: bool) -> _SharedFit:
         """With the products of the travels where `coupled`."""
         span = max(float(np.ptp(w, axis=0).max()) for w in travels)
         radii, blocks = tuple(share * span for share in SHARES), []

@@ -98,7 +98,7 @@ def fit_two_axes(
             alone = [_axis_trials(trials, begun, axis, alone=True) for axis in range(AXES)]
             if all(alone):
                 others = _axes(kind, alone, request, AXES * each, each, progress)
-                fits = _less_left(fits, others, trials, begun)
+                fits = _better_fits(fits, others, trials, begun)
         better = _refined(_simulators(fits), trials, begun)
         if joint is None:
             better = replace(better, cross=_shared(_simulators(fits), trials, better))
@@ -134,7 +134,7 @@ def _simulators(fits: tuple[Identified, Identified]) -> tuple[Simulator, Simulat
     return x, y
 
 
-def _less_left(fits: Fits, others: Fits, trials: Sequence[Trial], begun: _Begun) -> Fits:
+def _better_fits(fits: Fits, others: Fits, trials: Sequence[Trial], begun: _Begun) -> Fits:
     """Of each axis the fit of which less is left once the friction that both share is identified."""
     squares = []
     for one in (fits, others):

@@ -154,7 +154,7 @@ def test_both_axes_together_reverse_without_an_oscillation() -> None:
         angles = device.advance(command.u)
         sent.append(command.u[0])
     travel = float(np.abs(np.diff(sent[40:])).sum())
-    assert travel < 1.5
+    assert travel < 0.5
 
 
 def test_where_limits_bind_one_program_decides_between_the_axes() -> None:
