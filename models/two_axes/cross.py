@@ -64,7 +64,9 @@ class _SharedFit:
     squares: Vec
 
     @classmethod
-    def of(cls, travels: Sequence[Vec], target: Vec, dt_s: float, drive: tuple[float, float], coupled: bool) -> _SharedFit:
+    def of(
+        cls, travels: Sequence[Vec], target: Vec, dt_s: float, drive: tuple[float, float], coupled: bool
+    ) -> _SharedFit:
         """With the products of the travels where `coupled`."""
         span = max(float(np.ptp(w, axis=0).max()) for w in travels)
         radii, blocks = tuple(share * span for share in SHARES), []
