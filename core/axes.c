@@ -12,6 +12,12 @@ static const real axes_grain = R(1e-3), axes_same = R(1e-4);
 static const real axes_grain = R(1e-6), axes_same = R(1e-8);
 #endif
 
+enum {
+    AXES_CROSS_STATES = 2 + 4 * HYSTMPC_CROSS_MOST + 2 * HYSTMPC_CROSS_LATE,
+    AXES_ROUNDS = 2, /* programs of a step, each around the plans of the one before */
+    AXES_SHARES = 3  /* the whole way to the plans of a program, half of it, a quarter */
+};
+
 /* One axis in a call. */
 typedef struct {
     const hystmpc_problem *p;
@@ -33,9 +39,12 @@ typedef struct {
 typedef struct {
     real *program; /* numbers of `hystmpc_step_plan`, and the whole ones */
     int *whole;
-    real *slopes;   /* of each axis by its travel (2, H, H) */
+    real *slopes;   /* of y_i + c_i by the travel of axis a (2, 2, H, H) */
+    real *rub;      /* the shared friction c along the plans (2, H) */
+    real *bends;    /* room for its derivatives */
     real *jacobian; /* (2, H, n, H) */
-    real *better;   /* (n H + 1): the plans after the solution, and their foreseen cost */
+    real *asked;    /* moves that the reference asks for (n, H) */
+    real *better;   /* (n H + 1): other plans, and their foreseen cost */
     real *travels, *y, *theta, *wanted; /* (2, H) */
     real *state[HYSTMPC_AXES];
     char *room; /* of the models' functions */
@@ -134,7 +143,7 @@ static void axes_rub(const axes_call *c, const real *w) {
 /* The shared friction (2, S) at the ends of the coming samples: of commands on their way, then along what is left of both
  * plans, and a hold behind it. */
 static void axes_foresee(const axes_call *c, int samples, real *travels, real *shared) {
-    real state[2 + 4 * HYSTMPC_CROSS_MOST];
+    real state[AXES_CROSS_STATES];
     const int delay = c->a->first->sensing->delay;
     fill(shared, R(0.0), HYSTMPC_AXES * samples);
     if (!c->a->cross) return;
@@ -184,12 +193,13 @@ static int axes_plan(const axes_call *c) {
     return plan;
 }
 
-/* Admissible commands (n, H) along both plans; answers by how much the limits move them. */
-static real axes_admit(const axes_call *c, real *plans) {
+/* Admissible commands (n, H) along travels, of the axes `apart` numbers from each other; answers by how much the limits move
+ * them. */
+static real axes_admit(const axes_call *c, const real *travels, int apart, real *plans) {
     const int h = c->horizon;
     real off = R(0.0);
     for (int k = 0; k < h; k++) {
-        const real w[HYSTMPC_AXES] = {c->axis[0].out.commands[k], c->axis[1].out.commands[k]};
+        const real w[HYSTMPC_AXES] = {travels[k], travels[apart + k]};
         const real *const before = k ? plans + k - 1 : c->last;
         axes_pull(c->a, w, before, k ? h : 1, plans + k, h);
         off = most(off, axes_limit(c->a, before, k ? h : 1, plans + k, h));
@@ -197,35 +207,47 @@ static real axes_admit(const axes_call *c, real *plans) {
     return off;
 }
 
-/* What the models answer to commands (n, H): travels (2, H), angles y (2, H) and theta (2, H), without disturbances; 0, or
- * another number. */
+/* What the models answer to commands (n, H): travels (2, H), angles y (2, H), the shared friction (2, H), and theta (2, H),
+ * without disturbances; 0, or another number. */
 static int axes_answer(const axes_call *c, const real *plans, axes_joint *q) {
     const int h = c->horizon;
+    real state[AXES_CROSS_STATES];
     for (int k = 0; k < h; k++) axes_travels(c->a, plans + k, h, q->travels + k, h);
     for (int i = 0; i < HYSTMPC_AXES; i++)
         if (hystmpc_model_run(c->axis[i].p->model, q->state[i], 1, h, q->travels + i * h, q->y + i * h, q->room)) return 1;
-    for (int k = 0; k < h; k++) axes_map(c->a->frame, HYSTMPC_AXES, HYSTMPC_AXES, q->y + k, h, q->theta + k, h);
+    fill(q->rub, R(0.0), HYSTMPC_AXES * h);
+    if (c->a->cross) {
+        copy(c->cross, state, axes_cross_states(c->a));
+        hystmpc_cross_run(c->a->cross, h, q->travels, state, q->rub);
+    }
+    for (int k = 0; k < h; k++) {
+        const real y[HYSTMPC_AXES] = {q->y[k] + q->rub[k], q->y[h + k] + q->rub[h + k]};
+        axes_map(c->a->frame, HYSTMPC_AXES, HYSTMPC_AXES, y, 1, q->theta + k, h);
+    }
     return 0;
 }
 
-/* J (2, H, n, H) of the angles theta by the commands, A (dy / dw) M, along the travels; 0, or another number. */
+/* J (2, H, n, H) of the angles theta by the commands, A (dy / dw + dc / dw) M, along the travels; 0, or another number. */
 static int axes_slopes(const axes_call *c, axes_joint *q) {
     const hystmpc_axes *const a = c->a;
     const int h = c->horizon, n = a->commands;
-    real *to = q->jacobian;
-    for (int i = 0; i < HYSTMPC_AXES; i++) {
-        real *const slopes = q->slopes + i * h * h;
-        fill(slopes, R(0.0), h * h);
-        if (hystmpc_model_linearise(c->axis[i].p->model, q->state[i], h, q->travels + i * h, q->y + i * h, slopes, q->room))
+    real *to = q->jacobian, state[AXES_CROSS_STATES];
+    fill(q->slopes, R(0.0), HYSTMPC_AXES * HYSTMPC_AXES * h * h);
+    for (int i = 0; i < HYSTMPC_AXES; i++)
+        if (hystmpc_model_linearise(c->axis[i].p->model, q->state[i], h, q->travels + i * h, q->y + i * h,
+                                    q->slopes + 3 * i * h * h, q->room))
             return 1;
+    if (a->cross) {
+        copy(c->cross, state, axes_cross_states(a));
+        hystmpc_cross_slopes(a->cross, h, q->travels, state, q->rub, q->slopes, q->bends);
     }
     for (int o = 0; o < HYSTMPC_AXES; o++)
         for (int k = 0; k < h; k++)
             for (int j = 0; j < n; j++, to += h) {
                 fill(to, R(0.0), h);
-                for (int i = 0; i < HYSTMPC_AXES; i++) {
-                    const real share = a->frame[o * HYSTMPC_AXES + i] * a->mix[i * n + j];
-                    add_rows(to, k + 1, &share, 1, q->slopes + (i * h + k) * h, h, 1);
+                for (int i = 0; i < HYSTMPC_AXES * HYSTMPC_AXES; i++) {
+                    const real share = a->frame[o * HYSTMPC_AXES + i / HYSTMPC_AXES] * a->mix[i % HYSTMPC_AXES * n + j];
+                    if (share != R(0.0)) add_rows(to, k + 1, &share, 1, q->slopes + (i * h + k) * h, h, 1);
                 }
             }
     return 0;
@@ -234,7 +256,8 @@ static int axes_slopes(const axes_call *c, axes_joint *q) {
 static long axes_joint_room(const hystmpc_axes *a) {
     const long h = a->first->law->horizon, n = a->commands;
     long numbers = room_for(axes_program(a->law)) + room_for(2L * hystmpc_program_unknowns(a->law));
-    numbers += room_for(2 * h * h) + room_for(2 * h * n * h) + room_for(n * h + 1) + 4 * room_for(2 * h);
+    numbers += room_for(4 * h * h) + room_for(2 * h * n * h) + room_for(n * h + 1) + 5 * room_for(2 * h) + room_for(n * h);
+    if (a->cross) numbers += room_for(hystmpc_cross_room(a->cross, (int)h));
     for (int i = 0; i < HYSTMPC_AXES; i++) numbers += room_for(hystmpc_model_states(axes_problem(a, i)->model));
     return numbers;
 }
@@ -245,8 +268,25 @@ long hystmpc_axes_room_bytes(const void *axes) {
     long inner = longer(hystmpc_room_bytes(a->first), hystmpc_room_bytes(a->second));
     for (int i = 0; i < HYSTMPC_AXES; i++)
         if (axes_problem(a, i)->model) inner = longer(inner, hystmpc_model_bytes(axes_problem(a, i)->model, 1, (int)h));
-    return 2L * ROOM_LINE + 3 * room_for(2 * samples) + room_for(a->commands * h) + 2 * room_for(2 * h) +
+    return 2L * ROOM_LINE + 4 * room_for(2 * samples) + room_for(a->commands * h) + room_for(4 * h) +
            (a->law ? axes_joint_room(a) : 0L) + inner;
+}
+
+/* Moves of the commands (n, H) that the wanted angles in q->y ask for at the axes' static gains, where friction is shared;
+ * else none. They cost nothing. What a plan moves beside them is worth less, since a dead band that the other axis removes
+ * is not known well. */
+static void axes_ask(const axes_call *c, axes_joint *q) {
+    const hystmpc_axes *const a = c->a;
+    const int h = c->horizon;
+    for (int k = 0; k < h; k++) {
+        real moves[HYSTMPC_AXES] = {R(0.0), R(0.0)};
+        const int to = k + 1 < h ? k + 1 : k;
+        for (int i = 0; i < HYSTMPC_AXES && to > 0; i++) {
+            const real slope = c->axis[i].p->law->slope, *const y = q->y + i * h;
+            if (a->cross && slope > R(0.0)) moves[i] = (y[to] - y[to - 1]) / slope;
+        }
+        axes_map(a->unmix, a->commands, HYSTMPC_AXES, moves, 1, q->asked + k, h);
+    }
 }
 
 /* Memory of a joint program, the states from which predictions start, and what is wanted of the models (2, H). */
@@ -256,11 +296,13 @@ static void axes_lay_out(const axes_call *c, const real *reference, axes_joint *
     const int delay = a->first->sensing->delay;
     q->program = room_take(&room, axes_program(a->law));
     q->whole = (int *)(void *)room_take(&room, 2L * hystmpc_program_unknowns(a->law));
-    q->slopes = room_take(&room, 2 * h * h);
+    q->slopes = room_take(&room, 4 * h * h);
     q->jacobian = room_take(&room, 2 * h * n * h);
     q->better = room_take(&room, n * h + 1);
-    real **const rows[4] = {&q->travels, &q->y, &q->theta, &q->wanted};
-    for (int i = 0; i < 4; i++) *rows[i] = room_take(&room, 2 * h);
+    q->asked = room_take(&room, n * h);
+    real **const rows[5] = {&q->travels, &q->y, &q->theta, &q->wanted, &q->rub};
+    for (int i = 0; i < 5; i++) *rows[i] = room_take(&room, 2 * h);
+    q->bends = a->cross ? room_take(&room, hystmpc_cross_room(a->cross, (int)h)) : NULL;
     for (int i = 0; i < HYSTMPC_AXES; i++) {
         const hystmpc_problem *const p = c->axis[i].p;
         q->state[i] = room_take(&room, hystmpc_model_states(p->model));
@@ -269,41 +311,80 @@ static void axes_lay_out(const axes_call *c, const real *reference, axes_joint *
         for (int k = 0; k < h; k++) q->y[i * h + k] = reference[i * (h + delay) + delay + k] - off;
     }
     for (int k = 0; k < h; k++) axes_map(a->frame, HYSTMPC_AXES, HYSTMPC_AXES, q->y + k, (int)h, q->wanted + k, (int)h);
+    axes_ask(c, q);
     q->room = room;
 }
 
-/* The better one of the admitted plans and that of one program for all commands, in place; the axes' proposals become its
- * travels and angles. 0, or another number where a model from outside has failed. */
-static int axes_weigh(axes_call *c, const real *reference, real *plans, char *room) {
+/* One program around plans (n, H) that cost `cost`: they become those of the first share of the way to its solution that
+ * cost less, with their cost. 1 where they did, 0 where not, -1 where a model from outside has failed. */
+static int axes_improve(const axes_call *c, const hystmpc_task *tasks, real *plans, real *cost, axes_joint *q) {
     const hystmpc_axes *const a = c->a;
-    const int h = c->horizon, n = a->commands;
+    const int numbers = a->commands * c->horizon;
+    if (axes_answer(c, plans, q) || axes_slopes(c, q)) return -1;
+    if (hystmpc_step_plan(a->law, tasks, q->jacobian, plans, q->theta, a->changes, q->program, q->whole, q->better,
+                          q->better + numbers) < 0)
+        return 0;
+    for (int share = 0; share < AXES_SHARES; share++) {
+        if (axes_answer(c, q->better, q)) return -1;
+        const real now = hystmpc_plan_cost(a->law, tasks, q->better, q->theta);
+        if (now < *cost) {
+            copy(q->better, plans, numbers);
+            *cost = now;
+            return 1;
+        }
+        for (int k = 0; k < numbers; k++) q->better[k] = R(0.5) * (q->better[k] + plans[k]);
+    }
+    return 0;
+}
+
+/* The cheaper one of both axes' plans and of what is left of the last ones, travels `ahead` (2, S), improved by programs for
+ * all commands, in place; the axes' proposals become its travels and angles, `shared` (2, S) its friction. 0, or another
+ * number where a model from outside has failed. */
+static int axes_weigh(axes_call *c, const real *reference, const real *ahead, real *plans, real *shared, char *room) {
+    const hystmpc_axes *const a = c->a;
+    const int h = c->horizon, n = a->commands, samples = hystmpc_reference_samples(a->first);
     hystmpc_task tasks[HYSTMPC_PULLS];
     axes_joint q;
     axes_lay_out(c, reference, &q, room);
     for (int j = 0; j < n; j++) {
-        tasks[j] = (hystmpc_task){q.wanted, plans + j * h, c->last[j], a->first->law->rate_weight, -INFINITE, INFINITE, NULL};
+        tasks[j] = (hystmpc_task){
+            .reference = q.wanted, .feedforward = plans + j * h, .u_last = c->last[j],
+            .rate_weight = a->first->law->rate_weight, .low = -INFINITE, .high = INFINITE, .asked = q.asked + j * h};
         if (j < HYSTMPC_AXES) tasks[j].reference += j * h;
         if (j) tasks[j - 1].next = tasks + j;
     }
-    int answered = 0; /* whether the last answer is that of the plans */
     if (axes_answer(c, plans, &q)) return 1;
-    const real before = hystmpc_plan_cost(a->law, tasks, plans, q.theta);
-    if (axes_slopes(c, &q)) return 1;
-    if (hystmpc_step_plan(a->law, tasks, q.jacobian, plans, q.theta, a->changes, q.program, q.whole, q.better,
-                          q.better + n * h) >= 0) {
+    real cost = hystmpc_plan_cost(a->law, tasks, plans, q.theta);
+    if (a->cross) {
+        axes_admit(c, ahead, samples, q.better);
         if (axes_answer(c, q.better, &q)) return 1;
-        answered = hystmpc_plan_cost(a->law, tasks, q.better, q.theta) < before;
-        if (answered) copy(q.better, plans, n * h);
+        const real other = hystmpc_plan_cost(a->law, tasks, q.better, q.theta);
+        if (other < cost) copy(q.better, plans, n * h), cost = other;
     }
-    if (!answered && axes_answer(c, plans, &q)) return 1;
+    int better = 1;
+    for (int k = 0; k < (a->cross ? AXES_ROUNDS : 1) && better > 0; k++) better = axes_improve(c, tasks, plans, &cost, &q);
+    if (better < 0 || axes_answer(c, plans, &q)) return 1;
+    const int delay = a->first->sensing->delay;
     for (int i = 0; i < HYSTMPC_AXES; i++) {
         const hystmpc_memory *const m = &c->axis[i].m;
         copy(q.travels + i * h, c->axis[i].out.commands, h);
         copy(q.y + i * h, c->axis[i].out.angles, h);
         copy(c->axis[i].out.commands + 1, m->plan, m->head->planned); /* what is left for the next samples */
         copy(c->axis[i].out.angles + 1, m->predicted, m->head->planned);
+        if (a->cross) copy(q.rub + i * h, shared + i * samples + delay, h);
     }
     return 0;
+}
+
+/* Whether an axis is to move. */
+static int axes_move(const axes_call *c) {
+    int moves = 0;
+    for (int i = 0; i < HYSTMPC_AXES; i++) {
+        const axes_one *const one = c->axis + i;
+        for (int k = 0; k < c->horizon && !moves; k++)
+            moves = absolute(one->out.commands[k] - one->m.observed.now.known->command) > axes_same * one->p->reach;
+    }
+    return moves;
 }
 
 /* Proposals of both axes; 0 where nothing has been started. A stop of one is a stop of both. */
@@ -341,17 +422,18 @@ int hystmpc_axes_step(const void *axes, char *memory, const real *angles_deg, co
     room = room_begin(room);
     real *const in_y = room_take(&room, 2L * samples), *const plans = room_take(&room, (long)n * h);
     real *const shared = room_take(&room, 2L * samples), *const ahead = room_take(&room, 2L * samples);
+    real *const alone = room_take(&room, 2L * samples), *const proposed = room_take(&room, 4L * h);
     for (int i = 0; i < HYSTMPC_AXES; i++) {
-        c.axis[i].out.commands = room_take(&room, 2L * h);
-        c.axis[i].out.angles = c.axis[i].out.commands + h;
+        c.axis[i].out.commands = proposed + i * h;
+        c.axis[i].out.angles = proposed + (HYSTMPC_AXES + i) * h;
         fill(c.axis[i].out.angles, (real)NAN, h);
     }
     memset(answer, 0, HYSTMPC_AXES * sizeof *answer);
     for (int k = 0; k < samples; k++)
         axes_map(a->unframe, HYSTMPC_AXES, HYSTMPC_AXES, reference + k, samples, in_y + k, samples);
     axes_foresee(&c, samples, ahead, shared);
-    for (int k = 0; k < 2 * samples; k++) in_y[k] -= shared[k];
-    if (!axes_propose(&c, angles_deg, in_y, room)) {
+    for (int k = 0; k < 2 * samples; k++) alone[k] = in_y[k] - shared[k];
+    if (!axes_propose(&c, angles_deg, alone, room)) {
         for (int j = 0; j < n; j++) u[j] = clamp(is_finite(c.last[j]) ? c.last[j] : a->rest[j], a->lower[j], a->upper[j]);
         for (int i = 0; i < HYSTMPC_AXES; i++)
             answer[i] = (hystmpc_command){.predicted_deg = (real)NAN, .source = HYSTMPC_STOP, .status = HYSTMPC_LATCHED};
@@ -359,7 +441,9 @@ int hystmpc_axes_step(const void *axes, char *memory, const real *angles_deg, co
         return HYSTMPC_AXES;
     }
     const int planned = axes_plan(&c);
-    if (planned && axes_admit(&c, plans) > axes_grain && axes_weigh(&c, in_y, plans, room))
+    const int bound = planned && axes_admit(&c, proposed, h, plans) > axes_grain;
+    const int together = planned && a->cross && axes_move(&c);
+    if ((bound || together) && axes_weigh(&c, in_y, ahead, plans, shared, room))
         for (int i = 0; i < HYSTMPC_AXES; i++) c.axis[i].out.status = HYSTMPC_FAILED;
     if (planned) {
         for (int j = 0; j < n; j++) u[j] = plans[j * h];

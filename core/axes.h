@@ -10,8 +10,11 @@
  * u = u_0 + N (w - M u_0) with M N = 1. Where all are admissible they are optimal. Where not, one quadratic program in the
  * commands of all, with the Jacobian A dy/dw M, decides between the axes.
  *
- * A friction that both axes share is known in advance along the plans of the last step: theta = A (y + c). Its c is taken
- * from the measurements and from what is wanted of each axis.
+ * Of a friction that both axes share, theta = A (y + c), each axis knows c along the plans of the last step: it is taken from
+ * the measurements and from what is wanted. So an axis does not know what its own motion changes of c, and both together
+ * may oscillate: a motion of one removes the dead band that the other one means to cross. Where an axis is to move, the
+ * program for all commands improves the cheaper one of the proposals and of what is left of the last plans, with the
+ * Jacobian A (dy/dw + dc/dw) M. Moves cost there by what they are more than those of the reference.
  *
  * A memory is u as sent last (n), the shared friction's state and its last values, then the memories of both axes. */
 #ifndef HYSTMPC_AXES_H

@@ -42,6 +42,8 @@ HYSTMPC_LOCAL int hystmpc_program_angles(const hystmpc_law *l) {
     return count;
 }
 
+static real asked_move(const hystmpc_task *t, int k) { return t->asked ? t->asked[k] : R(0.0); }
+
 HYSTMPC_LOCAL real hystmpc_plan_cost(const hystmpc_law *l, const hystmpc_task *t, const real *commands,
                                      const real *angles) {
     const int samples = l->horizon;
@@ -55,7 +57,7 @@ HYSTMPC_LOCAL real hystmpc_plan_cost(const hystmpc_law *l, const hystmpc_task *t
                 here = l->tracking[k] * error * error;
             }
             if (l->moves) {
-                const real move = commands[k] - before, off = commands[k] - t->feedforward[k];
+                const real move = commands[k] - before - asked_move(t, k), off = commands[k] - t->feedforward[k];
                 here = here + t->rate_weight * move * move + l->effort_weight * off * off;
                 before = commands[k];
             }
@@ -158,7 +160,7 @@ HYSTMPC_LOCAL void hystmpc_block_columns(const hystmpc_law *l, const real *jacob
 }
 
 static real move_of(const hystmpc_task *t, const real *commands, int k) {
-    return commands[k] - (k ? commands[k - 1] : t->u_last);
+    return commands[k] - (k ? commands[k - 1] : t->u_last) - asked_move(t, k);
 }
 
 /* The share of a block's move that one of its samples makes; behind the last block nothing moves. */

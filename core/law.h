@@ -33,12 +33,13 @@ typedef struct hystmpc_task {
     real rate_weight;        /* w_r, on the moves of the command */
     real low, high;          /* soft limits a, b of the angle [deg] */
     const struct hystmpc_task *next; /* of the next axis */
+    const real *asked;       /* moves a (H) that cost nothing, since the reference asks for them; null: none */
 } hystmpc_task;
 
 /* A plan (H) sample by sample to the nearest admissible command, in place; not-a-number stays. */
 HYSTMPC_LOCAL void hystmpc_clip_plan(int samples, real lower, real upper, real reach, real last, real *commands);
 
-/* J = sum_k q_k (theta_k - r_k)^2 + w_s dist(theta_k, [a, b])^2 + w_r (u_k - u_{k-1})^2 + w_e (u_k - f_k)^2, infinite
+/* J = sum_k q_k (theta_k - r_k)^2 + w_s dist(theta_k, [a, b])^2 + w_r (u_k - u_{k-1} - a_k)^2 + w_e (u_k - f_k)^2, infinite
  * where it is not finite; summed over all axes. */
 HYSTMPC_LOCAL real hystmpc_plan_cost(const hystmpc_law *l, const hystmpc_task *t, const real *commands,
                                      const real *angles);

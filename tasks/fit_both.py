@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from hystmpc.models.two_axes.identify import TwoAxisFit
     from hystmpc.models.two_axes.model import TwoAxisModel
 
-_ROUNDS = 4  # fits of an axis, at most: each axis, and once more where their joint changes
+_ROUNDS = 6  # fits of an axis, at most: each, from what it does alone, and once more where the joint changes
 
 
 @dataclass(frozen=True, eq=False)

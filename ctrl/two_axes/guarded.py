@@ -6,7 +6,7 @@ import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from time import perf_counter
-from typing import Any, final
+from typing import Any, TypeVar, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +15,7 @@ from hystmpc.core.library import HoldsAddresses, engine
 from hystmpc.core.outside import faults, forget_faults
 from hystmpc.core.rooms import in_room
 from hystmpc.core.structs import Struct, constants, layout, struct
-from hystmpc.models.model import Inverse, Predictor
+from hystmpc.models.model import Inverse, Predictor, static_gain
 from hystmpc.models.prediction.build import controller_model
 from hystmpc.models.simulator import ChainModel, Simulator
 from hystmpc.models.two_axes.model import AXES, TwoAxisModel
@@ -34,9 +34,10 @@ from ..mpc_settings import LinearisedMpcSettings, PredictiveSettings
 from ..planner.reach import angles_at_rest
 from ..problem import CHANGES
 
+Predictive = TypeVar("Predictive", bound=PredictiveSettings)
 _PREDICTIVE = constants()["HYSTMPC_PREDICTIVE"]
 _COMMAND = layout("hystmpc_command")
-_RATE_CLOSE, _TOLERANCE = 1.0, 0.25  # of joined axes: weight on moves; tolerance of a hold, of the model's error
+_DEAR_S, _TOLERANCE = 0.018, 0.25  # where friction is shared: T [s]; tolerance of a hold, of the model's error
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,8 +119,11 @@ class TwoAxisController(HoldsAddresses):
             CommandLimits(limits.lower, limits.upper, rate)
             for limits, rate in zip(model.command_limits, model.command_rates_per_s, strict=True)
         )
-        each = [_joined(settings, axis) if model.joined else settings for axis in model.axes]
-        pairs, travels = _pairs(model, each), [CommandLimits(*ends) for ends in model.travel_limits()]
+        pairs, travels = _pairs(model, settings), [CommandLimits(*ends) for ends in model.travel_limits()]
+        each = [settings] * AXES
+        if model.cross_friction is not None and isinstance(settings, PredictiveSettings):
+            settings = _dearer(settings, [static_gain(pair[0]) for pair in pairs], model.dt_s)
+            each = [_tolerant(settings, axis) for axis in model.axes]
         x, y = (build_controller(*one) for one in zip(each, *zip(*pairs, strict=True), travels, strict=True))
         self._axes = x, y
         self._ends = [
@@ -280,31 +284,37 @@ def _within(axis: GuardedController, travel: float) -> float:
     return min(max(travel, axis.limits.lower), axis.limits.upper)
 
 
-def _joined(settings: AnyControllerSettings, axis: Simulator) -> AnyControllerSettings:
-    """Settings of an axis whose motions disturb the other one, where they do not say otherwise.
+def _dearer(settings: Predictive, gains: Sequence[float], dt_s: float) -> Predictive:
+    """Settings of axes that share friction: a command's speed costs the square of the angle it moves within a time.
 
-    A correction within a dead band moves nothing, but stores a force. A motion of the other axis sets it free, since
-    both share friction: the correction is too much then. So a hold leaves a share of the model's error alone, and moves
-    are not as cheap as on one axis alone.
+        w_r = (T g / dt)^2,    g^2 the mean square of both static gains
+
+    Moves are counted beside those of the reference. A plan that crosses a dead band to and fro is worth it on one axis
+    alone. Here the other axis removes the dead band, more or less than the model says.
     """
-    if not isinstance(settings, PredictiveSettings):
+    if "rate" in settings.weights.model_fields_set:
         return settings
-    noise, changes = axis.identification.noise, dict[str, Any]()
-    if "rate_close" not in settings.weights.model_fields_set:
-        rate = min(_RATE_CLOSE, settings.weights.rate)
-        changes["weights"] = settings.weights.model_copy(update={"rate_close": rate})
-    if settings.hold.tolerance_deg is None and noise is not None and noise.model_sigma_deg is not None:
-        tolerance = _TOLERANCE * noise.model_sigma_deg
-        changes["hold"] = settings.hold.model_copy(update={"tolerance_deg": tolerance})
-    return settings.model_copy(update=changes)
+    rate = max(float(np.mean(np.square(gains))) * (_DEAR_S / dt_s) ** 2, settings.weights.rate_close)
+    weights = settings.weights.model_copy(update={"rate": rate, "rate_close": rate})
+    return settings.model_copy(update={"weights": weights})
 
 
-def _pairs(model: TwoAxisModel, settings: Sequence[AnyControllerSettings]) -> list[tuple[Predictor, Inverse]]:
+def _tolerant(settings: Predictive, axis: Simulator) -> Predictive:
+    """Settings of an axis that shares friction: a hold leaves a share of the model's error alone.
+
+    A correction within a dead band moves nothing, but stores a force. A motion of the other axis sets it free: the
+    correction is too much then.
+    """
+    noise = axis.identification.noise
+    if settings.hold.tolerance_deg is not None or noise is None or noise.model_sigma_deg is None:
+        return settings
+    hold = settings.hold.model_copy(update={"tolerance_deg": _TOLERANCE * noise.model_sigma_deg})
+    return settings.model_copy(update={"hold": hold})
+
+
+def _pairs(model: TwoAxisModel, settings: AnyControllerSettings) -> list[tuple[Predictor, Inverse]]:
     """Predictor and inverse of each axis."""
-    return [
-        pair_for(one, controller_model(ChainModel(axis, "conditioned")))
-        for one, axis in zip(settings, model.axes, strict=True)
-    ]
+    return [pair_for(settings, controller_model(ChainModel(axis, "conditioned"))) for axis in model.axes]
 
 
 def _problem(

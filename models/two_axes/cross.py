@@ -1,61 +1,102 @@
-"""Identification of the friction that both axes share, from what their models leave."""
+"""Identification of the friction that both axes share and of their static coupling, from what their models leave."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from hystmpc.trials.types import Vec
 
-from .model import AXES, CrossFriction
+from .model import AXES, COUPLED, Coupled, CrossFriction
 
 SHARES = (0.005, 0.01, 0.02, 0.035, 0.06, 0.1, 0.16)
 """Radii that are offered, as shares of the greatest range of a travel."""
 LAGS_S = (0.0, 0.05, 0.1, 0.2)
 """Time constants of the drives in front that are compared [s]."""
+DELAYS_S = (0.0, 0.04, 0.08, 0.12, 0.16, 0.2)
+"""Delays in front of these that are compared [s]."""
 
 _RIDGE = 1e-4
 _PARTS = 6  # parts that are left out one after another
 
 
 def shared_friction(travels: Sequence[Vec], left: Sequence[Vec], dt_s: float) -> CrossFriction | None:
-    """Friction of least error on what the models of both axes leave; None where parts left out do not need it.
+    """Friction and coupling of least error on what the models of both axes leave; None if parts left out need neither.
 
-        min_k sum_t |e_i - o - sum_j k_ij z_ji|^2 + ridge |k|^2,    z_j = b_j - p_j,    o of each trial
+        min_k sum_t |e_i - o - sum_j k_ij z_ji|^2 + ridge sum_j s_j^2 k_ij^2,    o of each trial, s_j the size of z_j
 
-    It is kept where the mean square error on parts left out falls by more than its standard error.
+    z are the plays b_j - p_j, and in a second search the products of the travels too, see `CrossFriction`. Either is
+    kept where the mean square error on parts left out falls by more than its standard error.
 
     Args:
         travels: w (T, 2) of every trial.
         left: e = y - f(w) (T, 2) of every trial [deg].
         dt_s: sample time [s].
     """
-    span = max(float(np.ptp(w, axis=0).max()) for w in travels)
-    radii = tuple(share * span for share in SHARES)
     target = np.vstack([e - e.mean(0) for e in left])
-    before, best = _squares(target, None), None
-    for lag_s in LAGS_S:
-        columns = _columns(travels, radii, lag_s, dt_s)
-        squares = _squares(target, columns)
-        if best is None or squares.mean() < best[0].mean():
-            best = squares, lag_s, columns
-    assert best is not None
-    gain = before - best[0]
-    if not gain.mean() > gain.std() / np.sqrt(_PARTS):
-        return None
-    weights = [_solved(best[2][:, i], target[:, i]) for i in range(AXES)]
-    return CrossFriction(lag_s=best[1], radii=radii, weights=(tuple(weights[0]), tuple(weights[1])))
+    kept: _SharedFit | None = None
+    for coupled in (False, True):
+        best = min(
+            (_SharedFit.of(travels, target, dt_s, drive, coupled) for drive in _drives(dt_s)),
+            key=lambda one: float(one.squares.mean()),
+        )
+        gain = (_squares(target, None) if kept is None else kept.squares) - best.squares
+        if gain.mean() > gain.std() / np.sqrt(_PARTS):
+            kept = best
+    return None if kept is None else kept.friction(target)
 
 
-def _columns(travels: Sequence[Vec], radii: Sequence[float], lag_s: float, dt_s: float) -> Vec:
-    """z (T, 2, J) of all trials, each without its mean."""
-    made = []
-    for w in travels:
-        one = [CrossFriction(lag_s=lag_s, radii=(r,), weights=((1.0,), (1.0,))).run(w, dt_s) for r in radii]
-        z = np.stack(one, axis=2)
-        made.append(z - z.mean(0))
-    return np.concatenate(made)
+def _drives(dt_s: float) -> list[tuple[float, float]]:
+    """Delays and time constants [s], each delay in whole samples."""
+    delays = sorted({round(delay / dt_s) * dt_s for delay in DELAYS_S})
+    return [(delay, lag) for delay in delays for lag in LAGS_S]
+
+
+@dataclass(frozen=True, eq=False)
+class _SharedFit:
+    """Columns (T, 2, K) behind a drive, and mean square errors on parts left out (parts,)."""
+
+    radii: tuple[float, ...]
+    drive: tuple[float, float]
+    columns: Vec
+    squares: Vec
+
+    @classmethod
+    def of(
+        cls, travels: Sequence[Vec], target: Vec, dt_s: float, drive: tuple[float, float], coupled: bool
+    ) -> _SharedFit:
+        """With the products of the travels where `coupled`."""
+        span = max(float(np.ptp(w, axis=0).max()) for w in travels)
+        radii, blocks = tuple(share * span for share in SHARES), []
+        parts = [CrossFriction(lag_s=0.0, radii=(r,), weights=((1.0,), (1.0,))) for r in radii]
+        if coupled:
+            units = [_coupled(row) for row in np.eye(COUPLED).tolist()]
+            parts += [CrossFriction(lag_s=0.0, radii=(), weights=((), ()), coupling=(one, one)) for one in units]
+        parts = [part.model_copy(update={"delay_s": drive[0], "lag_s": drive[1]}) for part in parts]
+        for w in travels:
+            z = np.stack([part.run(w, dt_s) for part in parts], axis=2)
+            blocks.append(z - z.mean(0))
+        columns = np.concatenate(blocks)
+        return cls(radii, drive, columns, _squares(target, columns))
+
+    def friction(self, target: Vec) -> CrossFriction:
+        """Of all parts."""
+        x, y = (_solved(self.columns[:, i], target[:, i]).tolist() for i in range(AXES))
+        count = len(self.radii)
+        return CrossFriction(
+            delay_s=self.drive[0],
+            lag_s=self.drive[1],
+            radii=self.radii,
+            weights=(tuple(x[:count]), tuple(y[:count])),
+            coupling=(_coupled(x[count:]), _coupled(y[count:])) if len(x) > count else None,
+        )
+
+
+def _coupled(weights: Sequence[float]) -> Coupled:
+    a, b, c, d, e = weights
+    return a, b, c, d, e
 
 
 def _squares(target: Vec, columns: Vec | None) -> Vec:
@@ -73,6 +114,8 @@ def _squares(target: Vec, columns: Vec | None) -> Vec:
 
 
 def _solved(columns: Vec, target: Vec) -> Vec:
-    square = columns.T @ columns
-    square += _RIDGE * np.trace(square) / len(square) * np.eye(len(square))
-    return np.asarray(np.linalg.solve(square, columns.T @ target))
+    sizes = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), np.finfo(np.float64).tiny)
+    scaled = columns / sizes
+    square = scaled.T @ scaled
+    square += _RIDGE * len(target) * np.eye(len(square))
+    return np.asarray(np.linalg.solve(square, scaled.T @ target) / sizes)

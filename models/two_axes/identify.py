@@ -20,9 +20,11 @@ from .cross import shared_friction
 from .joints import FREE, Chosen, Joint, choose_joint, matrices
 from .model import AXES, CrossFriction, TwoAxisModel
 
+Fits = tuple[Identified, Identified]
 _CHANGED = 0.005  # change of a joint's number after which the axes are identified once more
 _ROUNDS = 2
 _MOVES = 0.1  # of the greatest range of its travel: an axis that moves less in a trial is not identified from it
+_RESTS = 0.02  # of the same: an axis that moves less leaves the other one alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +69,10 @@ def fit_two_axes(
     First the joint of the axes, then a model of each axis by `kind`, then the joint's numbers once more with these
     models, and the friction that both axes share; where these change anything, the axes once more.
 
+    At first each axis is identified twice: from all trials, and from those in which it moves alone, if both do in some.
+    What both share is zero in these. From all trials an axis has less friction than alone, since the other one removes
+    some, but knows more of its range. The fit is kept of which less is left once the shared friction is identified.
+
     Args:
         kind: readable kind of model of each axis, such as `auto`.
         trials: of two commands (T, 2) and two angles (T, 2), one rate and one pair of units.
@@ -84,9 +90,15 @@ def fit_two_axes(
     begun = _Begun(chosen.joint, None)
     each, fits = kind.steps(request) or 0, None
     for number in range(_ROUNDS):
-        fits = _axes(kind, trials, begun, request, number * AXES * each, each, progress)
+        moving = [_axis_trials(trials, begun, axis) for axis in range(AXES)]
+        fits = _axes(kind, moving, request, 2 * number * AXES * each, each, progress)
         if any(fit.interrupted for fit in fits):
             break
+        if number == 0 and joint is None:
+            alone = [_axis_trials(trials, begun, axis, alone=True) for axis in range(AXES)]
+            if all(alone):
+                others = _axes(kind, alone, request, AXES * each, each, progress)
+                fits = _better_fits(fits, others, trials, begun)
         better = _refined(_simulators(fits), trials, begun)
         if joint is None:
             better = replace(better, cross=_shared(_simulators(fits), trials, better))
@@ -122,22 +134,42 @@ def _simulators(fits: tuple[Identified, Identified]) -> tuple[Simulator, Simulat
     return x, y
 
 
+def _better_fits(fits: Fits, others: Fits, trials: Sequence[Trial], begun: _Begun) -> Fits:
+    """Of each axis the fit of which less is left once the friction that both share is identified."""
+    squares = []
+    for one in (fits, others):
+        axes = _simulators(one)
+        shared = replace(begun, cross=_shared(axes, trials, begun))
+        travels, left = _left(axes, trials, begun)
+        unknown = [e - shared.shared(w, trials[0].dt) for w, e in zip(travels, left, strict=True)]
+        squares.append(np.sum([np.sum((e - e.mean(0)) ** 2, axis=0) for e in unknown], axis=0))
+    x, y = (other if better else fit for fit, other, better in zip(fits, others, squares[1] < squares[0], strict=True))
+    return x, y
+
+
 def _shared(axes: tuple[Simulator, Simulator], trials: Sequence[Trial], begun: _Begun) -> CrossFriction | None:
     """The friction that both axes share, by what their models leave of the trials."""
+    return shared_friction(*_left(axes, trials, begun), trials[0].dt)
+
+
+def _left(axes: tuple[Simulator, Simulator], trials: Sequence[Trial], begun: _Begun) -> tuple[list[Vec], list[Vec]]:
+    """Travels (T, 2) of every trial, and what the models of the axes leave of its angles (T, 2) [deg]."""
     travels = [trial.commands @ begun.joint.mix.T for trial in trials]
     left = []
     for trial, w in zip(trials, travels, strict=True):
         y = trial.angles @ np.linalg.inv(begun.joint.frame).T
         runs = [ChainModel(axis).run(np.ascontiguousarray(w[:, i]), float(y[0, i])) for i, axis in enumerate(axes)]
         left.append(y - np.stack(runs, axis=1))
-    return shared_friction(travels, left, trials[0].dt)
+    return travels, left
 
 
-def _axis_trials(trials: Sequence[Trial], begun: _Begun, axis: int) -> list[Trial]:
-    """Trials in which an axis moves: its travel w, and its angle y without the friction that both axes share."""
+def _axis_trials(trials: Sequence[Trial], begun: _Begun, axis: int, *, alone: bool = False) -> list[Trial]:
+    """Trials in which an axis moves, or moves alone: its travel w, and its angle y without what both axes share."""
     back, mix = np.linalg.inv(begun.joint.frame), begun.joint.mix
-    spans = [float(np.ptp(trial.commands @ mix[axis])) for trial in trials]
-    moving = [trial for trial, span in zip(trials, spans, strict=True) if span > _MOVES * max(spans)]
+    spans = np.array([np.ptp(trial.commands @ mix.T, axis=0) for trial in trials])
+    share = spans / spans.max(axis=0)
+    others = _RESTS if alone else np.inf
+    moving = [trial for trial, one in zip(trials, share, strict=True) if one[axis] > _MOVES and one[1 - axis] < others]
     return [
         replace(
             trial,
@@ -152,13 +184,13 @@ def _axis_trials(trials: Sequence[Trial], begun: _Begun, axis: int) -> list[Tria
 
 def _axes(
     kind: ModelKind,
-    trials: Sequence[Trial],
-    begun: _Begun,
+    trials: Sequence[list[Trial]],
     request: FitRequest,
     done: int,
     each: int,
     progress: FitProgress | None,
-) -> tuple[Identified, Identified]:
+) -> Fits:
+    """A model of each axis from its trials."""
     made = []
     for axis in range(AXES):
 
@@ -166,7 +198,7 @@ def _axes(
             if progress is not None:
                 progress(before + step, rmse)
 
-        made.append(identified(kind, _axis_trials(trials, begun, axis), request, tell))
+        made.append(identified(kind, trials[axis], request, tell))
     return made[0], made[1]
 
 

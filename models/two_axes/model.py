@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from hystmpc.core.library import engine
-from hystmpc.core.structs import Struct, struct
+from hystmpc.core.structs import Struct, constants, struct
 from hystmpc.trials.brief import in_brief
 from hystmpc.trials.config import NotNegative, Positive, Settings, dump_yaml, read_yaml
 from hystmpc.trials.errors import ConfigError, ModelError, shown
@@ -31,33 +31,54 @@ MOST_COMMANDS = 6
 
 _SINGULAR = 0.05  # least ratio of singular values: below, two axes are hardly two
 _ROUNDING = 1e-9
+_MOST_LATE = constants()["HYSTMPC_CROSS_LATE"]
 
 Row = tuple[float, ...]
+Coupled = tuple[float, float, float, float, float]
+COUPLED = 5
+"""Products of the travels, as in core/cross_friction.h."""
 
 
 class CrossFriction(Settings):
-    """Friction that both axes share: what a friction whose force is a vector adds to that of each axis alone.
+    """What motions along both axes add to those of each alone: friction whose force is a vector, and static coupling.
 
-        v' = (w - v) / lag_s,    c_i = sum_j weights_ij (b_ji - p_ji)
+        v' = (w(t - delay_s) - v) / lag_s
+        c_i = sum_j weights_ij (b_ji - p_ji) + coupling_i . (x o, o^2, x o^2, x^2 o, o^3),    x = v_i, o the other one
 
-    b_j (2,) is a play in the plane of v, |v - b_j| <= radii_j; p_ji is the play of v_i alone. c is zero in motions of
-    one axis. A rod that slides along a sheath in one plane is free in the other one.
+    b_j (2,) is a play in the plane of v, |v - b_j| <= radii_j; p_ji is the play of v_i alone. A rod that slides along a
+    sheath in one plane is free in the other one: the friction is zero in motions of one axis. A rod that is bent in one
+    plane is stiffer in the other one: that is static coupling.
 
     Attributes:
         lag_s: time constant of the drives in front [s].
         radii: of the plays (J,), in the unit of w, at most eight.
         weights: k (2, J) [deg per unit of w].
+        delay_s: transport delay in front [s], in whole samples, at most 64.
+        coupling: g (2, 5) [deg per unit of w squared or cubed]; None for none.
     """
 
     lag_s: NotNegative
     radii: tuple[Positive, ...] = Field(max_length=8)
     weights: tuple[Row, Row]
+    delay_s: NotNegative = 0.0
+    coupling: tuple[Coupled, Coupled] | None = None
 
     def struct(self, dt_s: float) -> Struct:
-        """Struct `hystmpc_cross_friction` at a sample time [s]."""
+        """Struct `hystmpc_cross_friction` at a sample time [s].
+
+        Raises:
+            ModelError: if the delay has too many samples.
+        """
+        delay = round(self.delay_s / dt_s)
+        if delay > _MOST_LATE:
+            raise ModelError(f"cross_friction: delay_s is {delay} samples, expected at most {_MOST_LATE}")
         keep = math.exp(-dt_s / self.lag_s) if self.lag_s > 0 else 0.0
         weights = np.array(self.weights, dtype=np.float64)
-        return struct("hystmpc_cross_friction", plays=len(self.radii), keep=keep, radii=self.radii, weights=weights)
+        coupling = None if self.coupling is None else np.array(self.coupling, dtype=np.float64)
+        return struct(
+            "hystmpc_cross_friction", plays=len(self.radii), delay=delay, keep=keep, radii=self.radii, weights=weights,
+            coupling=coupling,
+        )  # fmt: skip
 
     def run(self, travels: Vec, dt_s: float) -> Vec:
         """c (T, 2) [deg] along travels (T, 2) from a rest at the first."""

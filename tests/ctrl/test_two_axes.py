@@ -17,9 +17,10 @@ from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.config import parse_controller
 from hystmpc.ctrl.two_axes.guarded import TwoAxisController
 from hystmpc.ctrl.two_axes.tip_controller import TwoAxisTipController
+from hystmpc.models.contract.metadata import NoiseModel
 from hystmpc.models.prediction.build import controller_model
-from hystmpc.models.simulator import ChainModel
-from hystmpc.models.two_axes.model import TwoAxisModel
+from hystmpc.models.simulator import ChainModel, Simulator
+from hystmpc.models.two_axes.model import CrossFriction, TwoAxisModel
 from hystmpc.trials.errors import ConfigError, ControllerError, ModelError
 
 from ..models.two_axis_examples import DT, RATE, REACH, SHARED, Vec, two_axes
@@ -33,6 +34,14 @@ KINDS: tuple[dict[str, Any], ...] = (
 )
 JOINED = two_axes(((1.0, 0.3), (-0.2, 1.0)), ((1.0, 0.1), (0.2, 1.0)), SHARED)
 TENDONS = two_axes().with_tendons([0, 90, 180, 270], pretension=1.0, limits=[(0.2, 4.0)] * 4, rates_per_s=[RATE] * 4)
+
+
+def noisy(axis: Simulator) -> Simulator:
+    """The same with what an identification says of its noise."""
+    noise = NoiseModel(
+        sensor_sigma_deg=0.1, drift_sigma_deg_per_sqrt_s=0.02, motion_sigma_deg_per_sqrt_unit=0.05, model_sigma_deg=0.1
+    )
+    return replace(axis, identification=axis.identification.model_copy(update={"noise": noise}))
 
 
 def controller_of(model: TwoAxisModel, given_: dict[str, Any]) -> TwoAxisController:
@@ -116,6 +125,36 @@ def test_the_commands_track_a_circle_that_both_axes_share() -> None:
         errors.append(angles - wanted[k])
         assert command.status == "ok"
     assert np.sqrt(np.mean(np.square(errors[25:]))) < 0.1
+
+
+def test_at_rest_of_both_references_the_commands_cease() -> None:
+    """The device is the model, and the sensor is noisy: corrections end, though each frees the other axis."""
+    model = replace(JOINED, axes=(noisy(JOINED.axes[0]), noisy(JOINED.axes[1])))
+    controller, device, random = controller_of(model, KINDS[0]), Device(model), np.random.default_rng(3)
+    state, angles, moves = controller.init((0.0, 0.0), (0.0, 0.0)), np.zeros(2), []
+    for k in range(200):
+        wanted = np.tile([9.0, -7.0] if k < 60 else [4.0, 2.0], (controller.horizon, 1))
+        command, state = controller.step(state, angles + 0.1 * random.standard_normal(2), wanted)
+        moves.append(float(np.abs(command.u - device.sent[-1]).max()))
+        angles = device.advance(command.u)
+    assert max(moves[140:]) < 0.02 * REACH
+    assert np.median(moves[140:]) == 0.0
+    assert angles == pytest.approx([4.0, 2.0], abs=0.3)
+
+
+def test_both_axes_together_reverse_without_an_oscillation() -> None:
+    """A motion of y removes the dead band of x, whose wanted angle is constant: x hardly moves to and fro."""
+    model = two_axes(cross=CrossFriction(lag_s=0.0, radii=(0.3,), weights=((6.0,), (6.0,))))
+    controller, device = controller_of(model, KINDS[0]), Device(model)
+    state, angles, sent = controller.init((0.0, 0.0), (0.0, 0.0)), np.zeros(2), []
+    t = DT * np.arange(200 + controller.horizon)
+    wanted = np.stack([np.clip(12 * t, 0, 12), np.clip(15 * (t - 1.5), 0, 15) - np.clip(15 * (t - 4), 0, 15)], axis=1)
+    for k in range(200):
+        command, state = controller.step(state, angles, wanted[k : k + controller.horizon])
+        angles = device.advance(command.u)
+        sent.append(command.u[0])
+    travel = float(np.abs(np.diff(sent[40:])).sum())
+    assert travel < 0.5
 
 
 def test_where_limits_bind_one_program_decides_between_the_axes() -> None:

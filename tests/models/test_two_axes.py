@@ -10,17 +10,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hystmpc.core.library import engine
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.simulator import ChainModel
+from hystmpc.models.two_axes.cross import shared_friction
 from hystmpc.models.two_axes.identify import fit_two_axes
 from hystmpc.models.two_axes.joints import choose_joint
 from hystmpc.models.two_axes.model import CrossFriction, TwoAxisModel, has_two_axes, load_two_axes
 from hystmpc.trials.errors import FitError, ModelError
 from hystmpc.trials.trial import Trial
 
-from .two_axis_examples import IDENTITY, RATE, REACH, SHARED, Vec, recorded, two_axes, wandering
+from .two_axis_examples import COUPLED, IDENTITY, RATE, REACH, SHARED, Vec, recorded, two_axes, wandering
 
 shares = st.floats(-0.5, 0.5)
 
@@ -72,6 +74,54 @@ def test_a_motion_of_one_axis_frees_the_other() -> None:
     assert c[-1, 0] == pytest.approx(0.2, abs=1e-3)
 
 
+@given(st.integers(0, 2**32 - 1), st.integers(0, 6))
+def test_derivatives_of_shared_friction_are_those_of_differences(seed: int, delay: int) -> None:
+    random, core, samples, step = np.random.default_rng(seed), engine(), 12, 1e-7
+    part = COUPLED.model_copy(update={"delay_s": 0.04 * delay}).struct(0.04)
+    start = np.empty(int(core.cross_states(part.address)))
+    core.cross_rest(part.address, np.zeros(2), start)
+    core.cross_run(part.address, 30, np.cumsum(random.normal(0, 0.1, (2, 30)), axis=1), start, np.empty((2, 30)))
+    w = np.cumsum(random.normal(0, 0.1, (2, samples)), axis=1)
+
+    def answer(travels: Vec) -> Vec:
+        c = np.empty((2, samples))
+        core.cross_run(part.address, samples, np.ascontiguousarray(travels), start.copy(), c)
+        return c
+
+    slopes, c = np.zeros((2, 2, samples, samples)), np.empty((2, samples))
+    room = np.empty(int(core.cross_room(part.address, samples)))
+    core.cross_slopes(part.address, samples, w, start.copy(), c, slopes, room)
+    np.testing.assert_array_equal(c, answer(w))
+    for axis in range(2):
+        for s in range(samples):
+            bent = np.zeros_like(w)
+            bent[axis, s] = step
+            numeric = (answer(w + bent) - answer(w - bent)) / (2 * step)
+            np.testing.assert_allclose(slopes[:, axis, :, s], numeric, atol=1e-4)
+
+
+def test_static_coupling_is_a_polynomial_of_the_travels() -> None:
+    coupling = ((0.1, 0.2, 0.3, 0.4, 0.5), (1.0, 0.0, 0.0, 0.0, -1.0))
+    part = CrossFriction(lag_s=0.0, radii=(), weights=((), ()), coupling=coupling, delay_s=0.08)
+    u = wandering(2, 100)
+    x, y = np.vstack([u[:1], u[:1], u[:-2]]).T
+    expected = [0.1 * x * y + 0.2 * y**2 + 0.3 * x * y**2 + 0.4 * x**2 * y + 0.5 * y**3, x * y - x**3]
+    np.testing.assert_allclose(part.run(u, 0.04), np.stack(expected, axis=1), atol=1e-12)
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.08])
+def test_friction_and_coupling_are_found_again(delay_s: float) -> None:
+    """From what noise-free axes leave: parts of the trials that were not seen are answered."""
+    true = COUPLED.model_copy(update={"delay_s": delay_s})
+    travels = [wandering(seed) for seed in range(4)]
+    found = shared_friction(travels[:3], [true.run(w, 0.04) for w in travels[:3]], 0.04)
+    assert found is not None
+    assert found.coupling is not None
+    wanted, answer = true.run(travels[3], 0.04), found.run(travels[3], 0.04)
+    left = wanted - answer
+    assert np.std(left - left.mean(0)) < 0.2 * np.std(wanted - wanted.mean(0))
+
+
 @given(st.integers(0, 2**32 - 1))
 def test_shared_friction_is_bounded(seed: int) -> None:
     c = SHARED.run(wandering(seed, 300), 0.04)
@@ -80,7 +130,7 @@ def test_shared_friction_is_bounded(seed: int) -> None:
 
 
 def test_a_file_gives_the_model_back(tmp_path: Path) -> None:
-    model = two_axes(((1.0, 0.2), (-0.1, 1.0)), ((1.0, 0.0), (0.3, 1.0)), SHARED)
+    model = two_axes(((1.0, 0.2), (-0.1, 1.0)), ((1.0, 0.0), (0.3, 1.0)), COUPLED)
     again = load_two_axes(model.save(tmp_path / "both.yaml"))
     assert has_two_axes(tmp_path / "both.yaml")
     u = wandering(5)

@@ -17,6 +17,10 @@ Vec = NDArray[np.float64]
 IDENTITY: tuple[Row, Row] = ((1.0, 0.0), (0.0, 1.0))
 REACH, RATE, DT = 3.0, 8.0, 0.04
 SHARED = CrossFriction(lag_s=0.05, radii=(0.1, 0.4), weights=((2.0, 1.0), (1.0, 3.0)))
+COUPLED = SHARED.model_copy(
+    update={"delay_s": 0.08, "coupling": ((0.1, -0.2, 0.06, -0.03, 0.02), (-0.2, 0.1, -0.05, 0.04, 0.03))}
+)
+"""The same behind a delay, with static coupling."""
 
 
 def axis(gain: float = 8.0, lag_s: float = 0.08) -> Simulator:
