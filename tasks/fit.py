@@ -199,18 +199,16 @@ def fit(
     )  # fmt: skip
     chosen.check([], request)
     recorded, held = _with_inputs(read(logs, say), read(tests, say) if tests else [], names, say)
-    made: Fit | FitOfBothAxes
     if (both := both_axes([*recorded, *held])) is not None:
         only_one = {"inverse": inverse, "drive": drive, "residual": residual, "input": names}
         recorded, held = both[: len(recorded)], both[len(recorded) :]
-        made = fit_both(chosen, recorded, request, out, only_one, progress, say)
+        made = cast(Fit, fit_both(chosen, recorded, request, out, only_one, progress, say))
     else:
         _warn_of_limits([*recorded, *held], request.limits.command, say)
-        used = _turned(recorded, inverse)
-        done = _identify(chosen, used, request, progress, say)
+        done = _identify(chosen, used := _turned(recorded, inverse), request, progress, say)
         made = Fit(kind, done, used, exported=None if out is None else _written(done, Path(out), progress))
     if out is None and report is None and not held:
-        return cast(Fit, made)
+        return made
     sets = {which: part for which, part in ((SEEN, recorded), (UNSEEN, held)) if part}
     with figures_to(figures):
         return cast(Fit, _scored(made, out, sets, skip_first_flexure, report, progress))
