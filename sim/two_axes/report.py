@@ -20,7 +20,7 @@ Looks = Mapping[str, Mapping[str, Any]]
 
 def signals_figure(results: Sequence[Result], look: Looks, unit: str) -> Figure:
     """Draw both angles and every command over time, of all controllers along one motion."""
-    run = results[0].run
+    run, limits = results[0].run, results[0].limits
     with new_figure(7.0, 6.4) as figure:
         rows: Sequence[Axes] = figure.subplots(4, 1, sharex=True)
         for i, axes in enumerate(rows[:2]):
@@ -33,7 +33,7 @@ def signals_figure(results: Sequence[Result], look: Looks, unit: str) -> Figure:
             for result in results:
                 line = {**look[result.controller], "linewidth": 0.9, "drawstyle": "steps-pre"}
                 draw_long(axes, result.run.log.time_s, result.run.log.command[:, k], **line)
-                one = result.limits[k] if isinstance(result.limits, tuple) else result.limits
+            one = limits[k] if isinstance(limits, tuple) else limits
             for edge in (one.lower, one.upper):
                 axes.axhline(edge, **LIMIT_LOOK)
             axes.set_ylabel(f"command {name} [{unit}]")
