@@ -287,7 +287,7 @@ def _set_up(result: StudyResult) -> Iterator[Piece]:
     if isinstance(config, TwoAxisSimulationConfig):
         names = {"plant": _short(config.plant.name), "model": _short(config.model)}
         yield Heading("Set-up")
-        yield KeyValues(names | set_up_rows(config, unit) | _occasion(result))
+        yield KeyValues(names | _clock_and_seed(result) | set_up_rows(config, unit) | _occasion(result))
         yield from _gains(config.controllers, unit)
         return
     limits = config.limits
@@ -300,6 +300,7 @@ def _set_up(result: StudyResult) -> Iterator[Piece]:
         "model": _short(config.model),
         "inverse": _short(config.inverse) if config.inverse else "the model's own, or a backlash fitted to a network",
         "actuator lag told to controllers": f"{config.actuator_lag_s:g} s" if config.actuator_lag_s else "none",
+        **_clock_and_seed(result),
     }
     if config.sensor.kind != "continuous":
         rows["angle sensor"] = ", ".join(f"{name} {value}" for name, value in config.sensor.model_dump().items())
@@ -309,13 +310,14 @@ def _set_up(result: StudyResult) -> Iterator[Piece]:
     yield from _gains(config.controllers, unit, config.tuned)
 
 
+def _clock_and_seed(result: StudyResult) -> dict[str, object]:
+    return {"sample time": f"{result.results[0].run.dt:g} s", "seed": result.config.seed}
+
+
 def _occasion(result: StudyResult) -> dict[str, object]:
-    """Sample time, seed, version and start of the runs."""
-    rows: dict[str, object] = {"sample time": f"{result.results[0].run.dt:g} s", "seed": result.config.seed}
-    if result.meta:
-        rows["hystmpc"] = result.meta["versions"].get("hystmpc")
-        rows["started"] = result.meta["start"]
-    return rows
+    """Version and start of the runs; empty where nothing was written."""
+    meta = result.meta
+    return {"hystmpc": meta["versions"].get("hystmpc"), "started": meta["start"]} if meta else {}
 
 
 def _gains(controllers: Mapping[str, Any], unit: str, tuned: Sequence[str] = ()) -> Iterator[Piece]:
