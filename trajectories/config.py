@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -140,11 +141,18 @@ class MovesSettings(PlaneMotionSettings):
 
     Attributes:
         hold_s: rest at every corner [s].
-        limits: along each line; with `length_mm` its degrees are mm.
+        limits: along each line; with `length_mm` a degree is the way of the tip of a nearly straight device,
+            length_mm / 2 per rad.
     """
 
     hold_s: NotNegative = 0.5
     limits: MotionLimits = MotionLimits()
+
+    @property
+    def along(self) -> MotionLimits:
+        """Limits in the numbers of the settings."""
+        share = 1.0 if self.length_mm is None else math.radians(self.length_mm / 2)
+        return MotionLimits(*(share * getattr(self.limits, name) for name in MotionLimits.model_fields))
 
 
 class PointsSettings(MovesSettings):
@@ -158,7 +166,7 @@ class PointsSettings(MovesSettings):
     points: tuple[Point, ...] = Field(min_length=2)
 
     def drawn(self) -> PlaneMotion:
-        return through_points(self.points, self.hold_s, self.limits)
+        return through_points(self.points, self.hold_s, self.along)
 
 
 class StarSettings(MovesSettings):
@@ -176,7 +184,7 @@ class StarSettings(MovesSettings):
     tips: int = Field(5, ge=3)
 
     def drawn(self) -> PlaneMotion:
-        return star(self.centre, self.radius, self.tips, self.hold_s, self.limits)
+        return star(self.centre, self.radius, self.tips, self.hold_s, self.along)
 
 
 class RingSettings(MovesSettings):
@@ -194,7 +202,7 @@ class RingSettings(MovesSettings):
     targets: int = Field(8, ge=3)
 
     def drawn(self) -> PlaneMotion:
-        return ring(self.centre, self.radius, self.targets, self.hold_s, self.limits)
+        return ring(self.centre, self.radius, self.targets, self.hold_s, self.along)
 
 
 class RowsSettings(MovesSettings):
@@ -211,7 +219,7 @@ class RowsSettings(MovesSettings):
     rows: int = Field(4, ge=1)
 
     def drawn(self) -> PlaneMotion:
-        return raster(self.corner, self.far_corner, self.rows, self.hold_s, self.limits)
+        return raster(self.corner, self.far_corner, self.rows, self.hold_s, self.along)
 
 
 AnyPlaneMotion = (

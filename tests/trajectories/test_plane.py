@@ -144,4 +144,19 @@ def test_every_kind_of_a_settings_file_is_drawn_in_deg_and_in_mm(kind: str) -> N
     motion, tips = settings.build(), PLANE_MOTIONS[kind].parse({"kind": kind, **PLANE[kind], "length_mm": 50}).build()
     t = np.linspace(0.0, motion.duration_s, 30)
     assert motion(t).shape == (30, 2)
-    np.testing.assert_allclose(tip_from_angles(tips(t), 50.0)[:, :2], motion(t), atol=1e-6)
+    np.testing.assert_allclose(tip_from_angles(tips(tips.duration_s), 50.0)[:2], motion(motion.duration_s), atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["points", "star", "ring", "raster"])
+def test_limits_are_of_the_angles_in_mm_too(kind: str) -> None:
+    """A nearly straight device: the way of its tip is half its length for a rad, so both motions take the same time."""
+    length_mm, share = 60.0, math.radians(30.0)
+    small = {
+        key: np.multiply(v, 0.05).tolist() if key not in ("targets", "tips") else v for key, v in PLANE[kind].items()
+    }
+    tips = {key: np.multiply(v, share).tolist() if key not in ("targets", "tips") else v for key, v in small.items()}
+    angles = PLANE_MOTIONS[kind].parse({"kind": kind, **small}).build()
+    motion = PLANE_MOTIONS[kind].parse({"kind": kind, **tips, "length_mm": length_mm}).build()
+    assert motion.duration_s == pytest.approx(angles.duration_s)
+    t = np.linspace(0.0, angles.duration_s, 50)
+    np.testing.assert_allclose(motion(t), angles(t), atol=1e-4)
