@@ -126,8 +126,8 @@ def fit(
     )
     if isinstance(made, FitOfBothAxes):
         _print_both(made)
-        return
-    _print_model(made, limits)
+    else:
+        _print_model(made, limits)
     for which, evaluation in made.evaluations:
         _print_errors(f"{call.out}: free run on the trials{which}", evaluation)
     for which, evaluation in made.evaluations:
@@ -178,7 +178,7 @@ def limits_line(stored: ModelMetadata, given: DeviceLimits) -> str:
 
 @verb(
     "evaluate:evaluate",
-    model={"help": "A simulator (.yaml), exported model (.onnx) or builtin:NAME."},
+    model={"help": "A simulator or model of two axes (.yaml), exported model (.onnx) or builtin:NAME."},
     trials=LOGS,
 )
 def evaluate(call: Call) -> None:
@@ -196,10 +196,10 @@ def evaluate(call: Call) -> None:
 
 
 def _print_errors(title: str, evaluation: Evaluation) -> None:
-    from hystmpc.models.evaluate import ERROR_COLUMNS, error_rows, start_sentences
+    from hystmpc.models.evaluate import error_table, start_sentences
 
     runs = evaluation.trials
-    out.print(table(f"{title}, in {runs[0].trial.units.angle}", ERROR_COLUMNS, error_rows(runs), last_apart=True))
+    out.print(table(f"{title}, in {runs[0].trial.units.angle}", *error_table(runs), last_apart=True))
     for sentence in start_sentences(runs):
         line(f"{sentence}.")
 

@@ -23,6 +23,10 @@ if TYPE_CHECKING:
 FILES: Mapping[str, tuple[str, str]] = MappingProxyType(
     {
         "simulate": ("hystmpc.sim.config:SimulationConfig", "a study of `hystmpc simulate`"),
+        "simulate-two-axes": (
+            "hystmpc.sim.two_axes.config:TwoAxisSimulationConfig",
+            "a study of two axes, of `hystmpc simulate`",
+        ),
         "sweep": ("hystmpc.sim.sweep.settings:SweepSettings", "many studies, of `hystmpc simulate --sweep`"),
         "tune": ("hystmpc.sim.tuning.settings:TuneSettings", "a search of `hystmpc tune`"),
         "tip": ("hystmpc.ctrl.planner.settings:TipSettings", "a `TipController`"),
@@ -50,7 +54,7 @@ def schema(
         typer.echo(json.dumps(json_schema(settings_of(kind), f"hystmpc: {FILES[kind][1]}"), indent=1))
         return
     for name, (_, what) in FILES.items():
-        line(f"{name:12} {what}")
+        line(f"{name:17} {what}")
 
 
 def effects(

@@ -103,14 +103,16 @@ def print_study(result: StudyResult, folder: Path) -> None:
 
     Angles in degrees, commands in their unit, times in milliseconds: error over the run, over the last halves of holds,
     greatest command range over one of those, time of a step, samples beyond a limit. A star marks the least RMSE.
+    Of two axes the errors are distances in the plane, followed by the RMSE of x and of y; the mean time is left out.
     """
     from hystmpc.sim.results import approach_sentence, best_figures, conclusion
 
     for motion in result.motions:
         runs = result.of_motion(motion)
         best = best_figures(runs)
-        rows = [_row(run, best) for run in runs]
-        out.print(table(f"{motion}: true tip angle less reference [deg], command [{result.unit}]", _COLUMNS, rows))
+        rows, axes = [_row(run, best) for run in runs], "xy"[: len(runs[0].run.axis_rmse_deg)]
+        columns = (*_COLUMNS[:2], *axes, *_COLUMNS[2:5], *_COLUMNS[6:]) if axes else _COLUMNS
+        out.print(table(f"{motion}: true tip angle less reference [deg], command [{result.unit}]", columns, rows))
     for warning in result.warnings:
         say(f"warning: {warning}")
     for sentence in filter(None, (conclusion(result), approach_sentence(result))):
@@ -124,8 +126,8 @@ def print_study(result: StudyResult, folder: Path) -> None:
 def _row(run: Result, best: Container[tuple[str, str]]) -> list[str]:
     m = run.metrics
     rmse = f"{m.rmse_deg:.3f}{'*' if (run.controller, 'rmse_deg') in best else ' '}"
-    others = (m.max_abs_deg, m.hold_error_deg, m.hold_command_range)
-    times = (1e3 * m.step_mean_s, 1e3 * m.step_p99_s)
+    others = (*run.run.axis_rmse_deg, m.max_abs_deg, m.hold_error_deg, m.hold_command_range)
+    times = (*(() if run.run.axis_rmse_deg else (1e3 * m.step_mean_s,)), 1e3 * m.step_p99_s)
     figures = [f"{v:.3f}" for v in others] + [f"{v:.1f}" for v in times]
     return [run.controller, rmse, *("-" if text == "nan" else text for text in figures), str(m.limit_violations)]
 

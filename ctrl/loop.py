@@ -229,7 +229,7 @@ class Plant(Protocol):
 
 @dataclass(frozen=True)
 class LoopSample:
-    """One closed-loop sample; all angles belong to its end."""
+    """One closed-loop sample; all angles belong to its end, and are (2,) of two axes."""
 
     time_s: float
     reference_deg: float
@@ -240,6 +240,8 @@ class LoopSample:
 @dataclass(frozen=True, eq=False)
 class LoopLog:
     """Log of a closed-loop run, one row per sample (N,); all angles belong to the end of the sample.
+
+    Of two axes, angles are (N, 2) and commands (N, n).
 
     Attributes:
         reference_deg, measured_deg, predicted_deg: angles; NaN before the first frame, and without a prediction.
@@ -278,7 +280,8 @@ def run_loop(
 ) -> LoopLog:
     """Run `steps` samples of the closed loop as fast as possible, and stop the plant at the end, also after an error.
 
-    After a keyboard interrupt the log holds the finished samples.
+    After a keyboard interrupt the log holds the finished samples. Controller, plant and reference of two axes have
+    arrays in place of numbers.
 
     Args:
         reference: preview (H,) [deg] from the end of sample k on, for k = 0, 1, ...
@@ -304,7 +307,8 @@ def run_loop(
                 y = shown = plant.apply(command.u)
                 if viewer is not None:
                     y, (shown, state) = math.nan, _viewed(controller, state, k + 1, viewer.arrived((k + 1) * plant.dt))
-                samples.append(LoopSample((k + 1) * plant.dt, float(preview[0]), shown, command))
+                wanted = float(preview[0]) if preview.ndim == 1 else preview[0]
+                samples.append(LoopSample((k + 1) * plant.dt, wanted, shown, command))
                 if on_sample is not None:
                     on_sample(samples[-1])
         except KeyboardInterrupt:
@@ -327,12 +331,13 @@ def _viewed(controller: Controller[S], state: S, k: int, frames: Sequence[ImageF
 
 def _log(samples: list[LoopSample], interrupted: bool) -> LoopLog:
     commands = [sample.command for sample in samples]
+    unknown = np.full(np.shape(samples[0].measured_deg), np.nan) if samples else np.nan
     stages = dict.fromkeys(stage for command in commands for stage in command.timing.stages)
     return LoopLog(
         time_s=np.array([s.time_s for s in samples]),
         reference_deg=np.array([s.reference_deg for s in samples]),
         measured_deg=np.array([s.measured_deg for s in samples]),
-        predicted_deg=np.array([c.predicted[0] if c.predicted.size else np.nan for c in commands]),
+        predicted_deg=np.array([c.predicted[0] if c.predicted.size else unknown for c in commands]),
         command=np.array([c.u for c in commands]),
         disturbance_deg=np.array([c.disturbance for c in commands]),
         source=tuple(str(c.source) for c in commands),

@@ -22,7 +22,9 @@ from .start import TrialStart, estimated_start, motion_line, search_box, trial_s
 
 FORMAT = "hystmpc-evaluation/1"
 INVERSE_FORMAT = "hystmpc-inverse-evaluation/1"
+TWO_AXIS_FORMAT = "hystmpc-two-axis-evaluation/1"
 ERROR_COLUMNS = ("trial", "RMSE", "bias", "no bias", "max", "NRMSE %", "hold drift")
+TWO_AXIS_COLUMNS = ("trial", "RMSE x", "RMSE y", "tip", "bias", "max", "NRMSE %", "hold drift")  # the tip's last
 HOLD_S, SETTLING_S = 10.0, 1.0
 AT_REST = TrialStart(0.0, 0.0)
 RANGE_SLACK = 1e-3  # share of the trained range within which a sample beyond its end counts as inside
@@ -56,11 +58,12 @@ class TrialEvaluation:
 
     Attributes:
         trial: the scored trial, at the model's sample time.
-        theta: the model's angle [deg], shape (T,).
+        theta: the model's angle [deg], shape (T,); angles (T, 2) of two axes.
         start: first sample that counts.
         outside: share of samples whose command lies outside the range of the model's identification, where its angle is
             an extrapolation.
         began: start of the free run; with a lead where the trial begins in motion.
+        axes: errors of x and y of a model of two axes, whose `errors` are those of the tip.
     """
 
     trial: Trial
@@ -69,6 +72,7 @@ class TrialEvaluation:
     errors: Errors
     outside: float = 0.0
     began: TrialStart = AT_REST
+    axes: tuple[Errors, ...] = ()
 
     @property
     def unscored_s(self) -> float:
@@ -152,13 +156,7 @@ def evaluate(
     """
     metadata = model.metadata
     trial = trial.swapped() if metadata.inverted and not trial.inverted else trial
-    if abs(trial.dt - metadata.dt_s) > 1e-3 * metadata.dt_s:
-        raise ModelError(f"{trial.source}: sampled every {trial.dt:.6g} s, expected {metadata.dt_s:.6g} s; resample it")
-    if trial.units != Units(metadata.command_unit, metadata.angle_unit, metadata.inverted):
-        raise ModelError(
-            f"{trial.source}: {trial.units.command} in and {trial.units.angle} out, expected {metadata.command_unit} "
-            f"and {metadata.angle_unit} as the model has them"
-        )
+    require_rate_and_units(trial, metadata)
     held = np.full(round(HOLD_S / trial.dt), trial.command[-1])
     began = before or trial
     began = began.swapped() if trial.inverted and not began.inverted else began
@@ -177,18 +175,42 @@ def evaluate(
     begin = replace(begin, lead=max(begin.lead - lead.size, 0))
     start = max(first_flexure_end(trial) if skip_first_flexure else 0, begin.lead)
     holds = [(a, b) for a, b in segment(trial).holds if a >= start] + [(len(trial), theta.size)]
-    errors = _errors(trial, theta, start, holds)
-    return TrialEvaluation(trial, theta[: len(trial)], start, errors, _outside(trial, metadata), begin)
+    errors = errors_of(trial, theta, start, holds)
+    return TrialEvaluation(trial, theta[: len(trial)], start, errors, outside_share(trial, metadata), begin)
+
+
+def require_rate_and_units(trial: Trial, metadata: ModelMetadata) -> None:
+    """Refuse a trial of another sample time, or of other units than a model.
+
+    Raises:
+        ModelError: if sample times or units differ.
+    """
+    if abs(trial.dt - metadata.dt_s) > 1e-3 * metadata.dt_s:
+        raise ModelError(f"{trial.source}: sampled every {trial.dt:.6g} s, expected {metadata.dt_s:.6g} s; resample it")
+    if trial.units != Units(metadata.command_unit, metadata.angle_unit, metadata.inverted):
+        raise ModelError(
+            f"{trial.source}: {trial.units.command} in and {trial.units.angle} out, expected {metadata.command_unit} "
+            f"and {metadata.angle_unit} as the model has them"
+        )
 
 
 def mean_errors(evaluations: Sequence[TrialEvaluation]) -> Errors:
     """Mean of each error over trials; the bias keeps its sign."""
+    return _mean([e.errors for e in evaluations])
+
+
+def _mean(errors: Sequence[Errors]) -> Errors:
     names = [field.name for field in fields(Errors)]
-    return Errors(*(float(np.mean([getattr(e.errors, name) for e in evaluations])) for name in names))
+    return Errors(*(float(np.mean([getattr(e, name) for e in errors])) for name in names))
 
 
 def evaluation_json(evaluations: Sequence[TrialEvaluation]) -> dict[str, Any]:
-    """Evaluation as plain data in the format `hystmpc-evaluation/1`; an inverse map's has another name."""
+    """Evaluation as plain data in the format `hystmpc-evaluation/1`.
+
+    That of an inverse map has another name, and that of two axes, where the keys of `tip`, `x` and `y` are the same.
+    """
+    if evaluations[0].axes:
+        return _json_of_two_axes(evaluations)
     rows = [{"file": Path(e.trial.source).name, **vars(e.errors), "unscored_s": e.unscored_s} for e in evaluations]
     mean = dict(vars(mean_errors(evaluations)))
     if not evaluations[0].trial.inverted:
@@ -198,16 +220,35 @@ def evaluation_json(evaluations: Sequence[TrialEvaluation]) -> dict[str, Any]:
     return {"format": INVERSE_FORMAT, "unit": unit, "trials": plain[:-1], "mean": plain[-1]}
 
 
+def _json_of_two_axes(evaluations: Sequence[TrialEvaluation]) -> dict[str, Any]:
+    def parts(tip: Errors, x: Errors, y: Errors) -> dict[str, Any]:
+        return {"tip": dict(vars(tip)), "x": dict(vars(x)), "y": dict(vars(y))}
+
+    rows = [
+        {"file": Path(e.trial.source).name, **parts(e.errors, *e.axes), "unscored_s": e.unscored_s} for e in evaluations
+    ]
+    return {
+        "format": TWO_AXIS_FORMAT,
+        "trials": rows,
+        "mean": parts(mean_errors(evaluations), *_mean_axes(evaluations)),
+    }
+
+
+def _mean_axes(evaluations: Sequence[TrialEvaluation]) -> tuple[Errors, ...]:
+    return tuple(_mean(one) for one in zip(*(e.axes for e in evaluations), strict=True))
+
+
 def start_sentences(results: Sequence[TrialEvaluation]) -> list[str]:
     """Sentences on the trials that begin in motion."""
     return [line for result in results if (line := result.start_line)]
 
 
-def error_rows(results: Sequence[TrialEvaluation]) -> list[list[str]]:
-    """Errors of each trial and their mean, in the unit of the output, in the columns `ERROR_COLUMNS`."""
-    places = _decimals(max(float(np.ptp(result.trial.angle)) for result in results))
-    rows = [_row(Path(result.trial.source).name, result.errors, places) for result in results]
-    return [*rows, _row("mean", mean_errors(results), places)]
+def error_table(results: Sequence[TrialEvaluation]) -> tuple[Sequence[str], list[list[str]]]:
+    """Columns, and rows of the errors of each trial and of their mean, in the unit of the output."""
+    places = _decimals(max(float(np.ptp(result.trial.angles, axis=0).max()) for result in results))
+    rows = [_row(Path(result.trial.source).name, result.errors, places, result.axes) for result in results]
+    rows.append(_row("mean", mean_errors(results), places, _mean_axes(results)))
+    return TWO_AXIS_COLUMNS if results[0].axes else ERROR_COLUMNS, rows
 
 
 def error_sentence(results: Sequence[TrialEvaluation], which: str = "") -> str:
@@ -218,12 +259,18 @@ def error_sentence(results: Sequence[TrialEvaluation], which: str = "") -> str:
     """
     unit, mean = results[0].trial.units.angle, mean_errors(results)
     trials = "1 trial" if len(results) == 1 else f"{len(results)} trials"
+    if results[0].axes:
+        x, y = (f"{axis.rmse_deg:.3g}" for axis in _mean_axes(results))
+        return (
+            f"The free run errs by {mean.rmse_deg:.3g} {unit} RMS at the tip (x {x}, y {y} {unit}) on {trials}{which}"
+        )
     size = f"{mean.rmse_deg:.3g} {unit} RMS ({100 * mean.nrmse:.2g} % of the range)"
     return f"The free run errs by {size} on {trials}{which}"
 
 
-def _row(name: str, e: Errors, places: int) -> list[str]:
-    figures = (e.rmse_deg, e.bias_deg, e.offset_free_rmse_deg, e.max_abs_error_deg)
+def _row(name: str, e: Errors, places: int, axes: Sequence[Errors]) -> list[str]:
+    spread = () if axes else (e.offset_free_rmse_deg,)
+    figures = (*(axis.rmse_deg for axis in axes), e.rmse_deg, e.bias_deg, *spread, e.max_abs_error_deg)
     return [name, *(f"{x:.{places}f}" for x in figures), f"{100 * e.nrmse:.3f}", f"{e.hold_drift_deg:.{places}f}"]
 
 
@@ -232,14 +279,16 @@ def _decimals(span: float) -> int:
     return 3 if span <= 0 else max(3, 4 - math.floor(math.log10(span)))
 
 
-def _outside(trial: Trial, metadata: ModelMetadata) -> float:
+def outside_share(trial: Trial, metadata: ModelMetadata) -> float:
+    """Share of samples whose command is outside the range of the model's identification."""
     trained = metadata.trained_command
     slack = RANGE_SLACK * (trained.upper - trained.lower)
     beyond = np.maximum(trained.lower - trial.command, trial.command - trained.upper)
     return float(np.mean(beyond > slack))
 
 
-def _errors(trial: Trial, theta: Vec, start: int, holds: list[tuple[int, int]]) -> Errors:
+def errors_of(trial: Trial, theta: Vec, start: int, holds: list[tuple[int, int]]) -> Errors:
+    """Errors of a free run from the sample `start` on; the holds (first and last sample) are within theta."""
     error = theta[start : len(trial)] - trial.angle[start:]
     rmse = math.sqrt(float(np.mean(error**2)))
     settling = round(SETTLING_S / trial.dt)

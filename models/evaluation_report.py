@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from hystmpc.trials.figures import Look, LoopPanel, SimulatedTrial, loop_figure, time_figure
 from hystmpc.trials.report import MEASURED, MODEL, Heading, Paragraph, Piece, Plot, Report, Table
 
-from .evaluate import ERROR_COLUMNS, TrialEvaluation, error_rows, error_sentence, start_sentences
+from .evaluate import TrialEvaluation, error_sentence, error_table, start_sentences
 
-_SHOWN = 3  # trials in a figure
+_SHOWN, _SHOWN_OF_TWO = 3, 2  # trials in a figure, of one axis and of two
 _MEASURED: Look = {"color": MEASURED, "label": "measured"}
 _MODEL: Look = {"color": MODEL, "label": "model", "linewidth": 0.9}
 
@@ -32,33 +32,46 @@ def evaluation_report(
 def _pieces(which: str, results: Sequence[TrialEvaluation]) -> Iterator[Piece]:
     unit, command = results[0].trial.units.angle, results[0].trial.units.command
     yield Heading(error_sentence(results, which))
-    note = f"Model less measurement [{unit}]. No bias: without the mean error. Hold drift: while the command rests."
-    yield Table(ERROR_COLUMNS, error_rows(results), note)
+    what = "Tip: both angles." if results[0].axes else "No bias: without the mean error."
+    note = f"Model less measurement [{unit}]. {what} Hold drift: while the command rests."
+    yield Table(*error_table(results), note)
     yield from (Paragraph(f"{sentence}.") for sentence in start_sentences(results))
-    drawn = "of all trials" if len(results) <= _SHOWN else f"of the {_SHOWN} trials with the greatest error"
-    worst = _worst(results)
+    shown = len(_worst(results))
+    drawn = "of all trials" if len(results) <= shown else f"of the {shown} trials with the greatest error"
+    outputs = "angles" if results[0].axes else "output"
     yield Plot(
-        free_run_figure(results), f"Measured and simulated output {drawn}, and the error of the model below.", True
+        free_run_figure(results), f"Measured and simulated {outputs} {drawn}, and the error of the model below.", True
     )
-    loops = loop_figure([_loop(run) for run in worst], command, unit)
-    yield Plot(loops, f"Output [{unit}] over command [{command}] of the same trials.")
+    loops = [_loop(run) for run in _worst(results)]
+    if results[0].axes:
+        figure = loop_figure(loops, unit, unit, (f"angle x [{unit}]", f"angle y [{unit}]"))
+        yield Plot(figure, f"Measured and simulated tip in the plane of both angles [{unit}], of the same trials.")
+        return
+    yield Plot(loop_figure(loops, command, unit), f"Output [{unit}] over command [{command}] of the same trials.")
 
 
 def free_run_figure(results: Sequence[TrialEvaluation]) -> Figure:
-    """Figure of measurement, model and error over time, for the three trials with the greatest error."""
-    return time_figure([_simulated(run) for run in _worst(results)], "error")
+    """Figure of measurement, model and error over time, for the trials with the greatest error."""
+    return time_figure([panel for run in _worst(results) for panel in _simulated(run)], "error")
 
 
 def _worst(results: Sequence[TrialEvaluation]) -> list[TrialEvaluation]:
-    return sorted(results, key=lambda run: -run.errors.rmse_deg)[:_SHOWN]
+    shown = _SHOWN_OF_TWO if results[0].axes else _SHOWN
+    return sorted(results, key=lambda run: -run.errors.rmse_deg)[:shown]
 
 
-def _simulated(run: TrialEvaluation) -> SimulatedTrial:
-    unit, trial = run.trial.units.angle, run.trial
-    title = f"{Path(trial.source).name}: RMSE {run.errors.rmse_deg:.3g} {unit}"
-    return SimulatedTrial(title, trial.t, (trial.angle, _MEASURED), [(run.theta, _MODEL)], unit, run.start)
+def _simulated(run: TrialEvaluation) -> Iterator[SimulatedTrial]:
+    """Panels of a trial, one for each axis."""
+    unit, trial, theta = run.trial.units.angle, run.trial, run.theta.reshape(len(run.trial), -1)
+    names = [f", {name}" for name in "xy"] if run.axes else [""]
+    for i, (name, errors) in enumerate(zip(names, run.axes or (run.errors,), strict=True)):
+        title = f"{Path(trial.source).name}{name}: RMSE {errors.rmse_deg:.3g} {unit}"
+        measured = trial.angles[:, i], _MEASURED
+        yield SimulatedTrial(title, trial.t, measured, [(theta[:, i], _MODEL)], unit, run.start)
 
 
 def _loop(run: TrialEvaluation) -> LoopPanel:
-    command = run.trial.command
-    return LoopPanel(Path(run.trial.source).name, [(command, run.trial.angle, _MEASURED), (command, run.theta, _MODEL)])
+    name, trial = Path(run.trial.source).name, run.trial
+    if run.axes:
+        return LoopPanel(name, [(*trial.angles.T, _MEASURED), (*run.theta.T, _MODEL)])
+    return LoopPanel(name, [(trial.command, trial.angle, _MEASURED), (trial.command, run.theta, _MODEL)])

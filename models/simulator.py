@@ -273,7 +273,7 @@ def simulator_from(data: Any, where: str) -> Simulator:
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         got = data.get("format") if isinstance(data, dict) else type(data).__name__
         two = str(got).startswith("hystmpc-two-axes")
-        hint = "; a model of two axes is for `TipController` alone so far" if two else ""
+        hint = "; this command takes a model of one axis, see the guide on two axes" if two else ""
         raise ModelError(f"{where}: format {got!r}, expected a simulator file of format {FORMAT!r}{hint}")
     try:
         file = SimulatorFile.parse(data, where)

@@ -6,12 +6,13 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.feedback import InversePidControllerSettings, PidControllerSettings
 from hystmpc.ctrl.linear.report import loops_of
 from hystmpc.models.load import load_model, model_path
@@ -25,6 +26,7 @@ from hystmpc.trials.types import Progress, parts
 
 from .config import SimulationConfig, load_simulation
 from .results import (
+    AnyStudyConfig,
     Result,
     StudyResult,
     approach_sentence,
@@ -32,20 +34,27 @@ from .results import (
     colours,
     conclusion,
     controllers_figure,
+    distances,
     limits_of,
     load_results,
     log_columns,
     looks,
     result_of,
+    tip_figure,
 )
 from .study import Study, prepare
 from .tuning.gains import PidLike, tuned_study
+from .two_axes.config import TwoAxisSimulationConfig
+from .two_axes.report import set_up_rows, signals_figure
+from .two_axes.study import TwoAxisStudy, prepare_two_axes
+
+AnyStudy = Study | TwoAxisStudy
 
 _STEP_S, _PID_STEP_S = 2e-3, 3e-4  # of a closed loop, with the mean controller and with one that is tuned
 _REPORT_S, _RUN_REPORT_S = 3.0, 0.4  # of the page, and of a run on it
 
 
-def compare(config: SimulationConfig, out: Path | str | None = None, progress: Progress | None = None) -> StudyResult:
+def compare(config: AnyStudyConfig, out: Path | str | None = None, progress: Progress | None = None) -> StudyResult:
     """Run a study: prepare it, tune where requested, run every controller along every motion, and report.
 
     `out` gets config.yaml, meta.json and report.html of the study, and `<motion>/<controller>/` with config.yaml,
@@ -58,12 +67,12 @@ def compare(config: SimulationConfig, out: Path | str | None = None, progress: P
         HystmpcError: of `prepare`; ConfigError also if `out` is not vacant.
         KeyboardInterrupt: if the user ends it before the first run is finished.
     """
-    study = prepare(config)
+    study = prepare(config) if isinstance(config, SimulationConfig) else prepare_two_axes(config)
     folder = None if out is None else _folder(Path(out), study, study.config)
     results: list[Result] = []
     tuning, running, reporting = parts(progress, _expected_s(study))
     try:
-        study = tuned_study(study, tuning)
+        study = tuned_study(study, tuning) if isinstance(study, Study) else study
         if folder is not None:
             # Requested and resulting settings are stored apart: the settings written repeat the run without the search.
             write_atomically(folder.path / "config.yaml", dump_yaml(study.config.model_dump(mode="json")))
@@ -85,16 +94,17 @@ def compare(config: SimulationConfig, out: Path | str | None = None, progress: P
     return done
 
 
-def _expected_s(study: Study) -> tuple[float, float, float]:
+def _expected_s(study: AnyStudy) -> tuple[float, float, float]:
     """Expected durations of gain search, runs and report [s]; only their ratios matter."""
     config, steps = study.config, sum(study.steps(name) for name in study.motions)
     count = len(config.controllers)
     tuned = sum(isinstance(settings, PidLike) for settings in config.controllers.values())
-    search = tuned * config.tune_pid.evaluations * steps * _PID_STEP_S if config.tune_pid else 0.0
+    search_of = config.tune_pid if isinstance(config, SimulationConfig) else None
+    search = tuned * search_of.evaluations * steps * _PID_STEP_S if search_of else 0.0
     return search, count * steps * _STEP_S, _REPORT_S + count * len(study.motions) * _RUN_REPORT_S
 
 
-def _runs(study: Study, progress: Progress) -> Iterator[Result]:
+def _runs(study: AnyStudy, progress: Progress) -> Iterator[Result]:
     pairs = [(motion, name) for motion in study.motions for name in study.config.controllers]
     lengths = {name: study.steps(name) for name in study.motions}
     total, done = sum(lengths[motion] for motion, _ in pairs), 0
@@ -112,11 +122,11 @@ def _runs(study: Study, progress: Progress) -> Iterator[Result]:
         yield result_of(study.config, motion, name, run)
 
 
-def _folder(path: Path, study: Study, config: SimulationConfig) -> RunFolder:
+def _folder(path: Path, study: AnyStudy, config: AnyStudyConfig) -> RunFolder:
     return RunFolder.create(path, config, seed=config.seed, models=study.files)
 
 
-def _write(folder: RunFolder, study: Study, result: Result) -> None:
+def _write(folder: RunFolder, study: AnyStudy, result: Result) -> None:
     path = folder.path / result.motion / result.controller
     alone = study.config.narrowed(result.controller, result.motion)
     _folder(path, study, alone).write_log(log_columns(result.run))
@@ -145,6 +155,7 @@ def error_figure(results: Sequence[Result], colour: Mapping[str, str]) -> Figure
         rows = figure.subplots(len(results), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
         for axes, result in zip(rows, results, strict=True):
             t, error = result.run.log.time_s, result.run.error_deg
+            error = error if error.ndim == 1 else distances(error)
             axes.fill_between(t, error, color=colour[result.controller], linewidth=0.0)
             axes.axhline(0.0, color=REFERENCE, linewidth=0.6)
             axes.set_title(f"{result.controller}: RMSE {result.metrics.rmse_deg:.2f} deg")
@@ -212,9 +223,18 @@ def study_report(result: StudyResult, more: Sequence[Piece] = ()) -> Report:
     pieces: list[Piece] = [*more, *_summary(result), *_set_up(result)]
     for motion in result.motions:
         runs = result.of_motion(motion)
+        pieces += [Heading(f"Motion: {motion}"), _metrics_table(runs, result.unit)]
+        if isinstance(result.config, TwoAxisSimulationConfig):
+            tips = "Tip in the plane of both angles, without sensor noise and without the approach."
+            signals = "Angles without sensor noise, and the commands; grey dots: command limits."
+            error = "Error of the tip: distance of its true angles from the reference."
+            pieces += [
+                Plot(tip_figure(runs, look), tips, True),
+                Plot(signals_figure(runs, look, result.unit), signals, True),
+                Plot(error_figure(runs, colour), error),
+            ]
+            continue
         pieces += [
-            Heading(f"Motion: {motion}"),
-            _metrics_table(runs, result.unit),
             Plot(
                 controllers_figure(runs, look, result.unit),
                 "Tip angle without sensor noise, and the command; grey dots: command limits.",
@@ -263,7 +283,14 @@ def _summary(result: StudyResult) -> Iterator[Piece]:
 
 
 def _set_up(result: StudyResult) -> Iterator[Piece]:
-    config, limits, unit = result.config, result.config.limits, result.unit
+    config, unit = result.config, result.unit
+    if isinstance(config, TwoAxisSimulationConfig):
+        names = {"plant": _short(config.plant.name), "model": _short(config.model)}
+        yield Heading("Set-up")
+        yield KeyValues(names | _clock_and_seed(result) | set_up_rows(config, unit) | _occasion(result))
+        yield from _gains(config.controllers, unit)
+        return
+    limits = config.limits
     beyond = config.plant.model_dump(exclude={"simulator", "device"})
     plant = {name: value for name, value in beyond.items() if value}
     yield Heading("Set-up")
@@ -273,45 +300,58 @@ def _set_up(result: StudyResult) -> Iterator[Piece]:
         "model": _short(config.model),
         "inverse": _short(config.inverse) if config.inverse else "the model's own, or a backlash fitted to a network",
         "actuator lag told to controllers": f"{config.actuator_lag_s:g} s" if config.actuator_lag_s else "none",
-        "sample time": f"{result.results[0].run.dt:g} s",
-        "seed": config.seed,
+        **_clock_and_seed(result),
     }
     if config.sensor.kind != "continuous":
         rows["angle sensor"] = ", ".join(f"{name} {value}" for name, value in config.sensor.model_dump().items())
     if limits is not None:
         rows["command limits"] = f"{limits.lower:g} to {limits.upper:g} {unit}, {limits.rate_per_s:.4g} {unit}/s"
-    if result.meta:
-        rows["hystmpc"] = result.meta["versions"].get("hystmpc")
-        rows["started"] = result.meta["start"]
-    yield KeyValues(rows)
-    gains = {name: s.gains for name, s in config.controllers.items() if isinstance(s, _WITH_GAINS)}
+    yield KeyValues(rows | _occasion(result))
+    yield from _gains(config.controllers, unit, config.tuned)
+
+
+def _clock_and_seed(result: StudyResult) -> dict[str, object]:
+    return {"sample time": f"{result.results[0].run.dt:g} s", "seed": result.config.seed}
+
+
+def _occasion(result: StudyResult) -> dict[str, object]:
+    """Version and start of the runs; empty where nothing was written."""
+    meta = result.meta
+    return {"hystmpc": meta["versions"].get("hystmpc"), "started": meta["start"]} if meta else {}
+
+
+def _gains(controllers: Mapping[str, Any], unit: str, tuned: Sequence[str] = ()) -> Iterator[Piece]:
+    gains = {name: s.gains for name, s in controllers.items() if isinstance(s, _WITH_GAINS)}
     if gains:
-        tuned = ", ".join(config.tuned)
-        note = f" Found by search on this plant and these motions: {tuned}." if tuned else ""
+        note = f" Found by search on this plant and these motions: {', '.join(tuned)}." if tuned else ""
         columns = ("controller", f"kp [{unit}/deg]", f"ki [{unit}/(deg s)]", f"kd [{unit} s/deg]", "dead zone [deg]")
         rows_of = [(n, g.kp_per_deg, g.ki_per_deg_s, g.kd_s_per_deg, g.dead_zone_deg) for n, g in gains.items()]
         yield Table(columns, rows_of, f"PID gains.{note}")
 
 
 def _metrics_table(runs: tuple[Result, ...], unit: str) -> Table:
-    rows, best = [], best_figures(runs)
-    names = ("rmse_deg", "max_abs_deg", "hold_error_deg")
-    marked = {(i, j) for i, run in enumerate(runs) for j, name in enumerate(names, 1) if (run.controller, name) in best}
+    rows, best, axes = [], best_figures(runs), len(runs[0].run.axis_rmse_deg)
+    places = {"rmse_deg": 1, "max_abs_deg": 2 + axes, "hold_error_deg": 3 + axes}
+    marked = {(i, j) for i, run in enumerate(runs) for name, j in places.items() if (run.controller, name) in best}
     for run in runs:
         m = run.metrics
         held = [value if math.isfinite(value) else "no hold" for value in (m.hold_error_deg, m.hold_command_range)]
         times = 1e3 * m.step_mean_s, 1e3 * m.step_p99_s
-        rows.append((run.controller, m.rmse_deg, m.max_abs_deg, *held, m.command_travel, m.limit_violations, *times))
+        errors = m.rmse_deg, *run.run.axis_rmse_deg, m.max_abs_deg
+        rows.append((run.controller, *errors, *held, m.command_travel, m.limit_violations, *times))
     caption = (
         "Errors of the tip angle without sensor noise; hold figures over the last half of every hold; "
         "bold: the least, to 0.001 deg."
     )
-    return Table([column.format(unit=unit) for column in _COLUMNS], rows, caption, marked)
+    columns = [*_COLUMNS[:2], *(f"RMSE {name} [deg]" for name in "xy"[:axes]), *_COLUMNS[2:]]
+    return Table([column.format(unit=unit) for column in columns], rows, caption, marked)
 
 
 def _stability(result: StudyResult) -> Iterator[Piece]:
     """Margins and limit cycles of every loop with a PID around the identified model."""
     config = result.config
+    if isinstance(config, TwoAxisSimulationConfig):
+        return
     loops = {n: config.controllers[n] for n in result.controllers if isinstance(config.controllers[n], _WITH_GAINS)}
     if not loops:
         return
@@ -325,7 +365,7 @@ def _stability(result: StudyResult) -> Iterator[Piece]:
         yield Paragraph(f"Not analysed: {error}")
         return
     yield from loops_of(
-        model, config.model, loops, limits_of(config, next(iter(loops))), config.actuator_lag_s
+        model, config.model, loops, cast("CommandLimits", limits_of(config, next(iter(loops)))), config.actuator_lag_s
     ).summary()
 
 

@@ -24,6 +24,8 @@ from hystmpc.trials.types import Vec
 
 from .config import SimulationConfig
 from .study import ClosedLoopRun
+from .two_axes.columns import Column, apart, together
+from .two_axes.config import TwoAxisSimulationConfig, says_two_axes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -32,7 +34,9 @@ _PREDICTIVE = (LinearisedMpcSettings, SamplingMpcSettings)
 HOLD_S = 0.5
 _STILL_DEG = 1e-9
 _ROUNDING = 1e-9  # of the command's range: a limit that is met exactly is not violated
-Column = Vec | tuple[str, ...]
+Limits = CommandLimits | tuple[CommandLimits, ...]
+"""Hard limits of the command, or of every command of two axes."""
+AnyStudyConfig = SimulationConfig | TwoAxisSimulationConfig
 _STAGE = "stage_"
 _LOOP = {
     "time_s": "time_s",
@@ -48,7 +52,7 @@ _REST = "held_before"  # the command before the first sample
 
 @dataclass(frozen=True)
 class TrackingMetrics:
-    """Metrics of one closed-loop run.
+    """Metrics of one closed-loop run; of two axes errors are lengths in the plane of both angles.
 
     Errors are true angle minus reference; a hold is a reference at rest for 0.5 s or longer. Errors and holds of an
     approach do not count; commands and times do. Figures of holds are NaN without one.
@@ -66,18 +70,18 @@ class TrackingMetrics:
     ladder: Mapping[str, int]  # samples by source of the command
 
 
-def tracking_metrics(run: ClosedLoopRun, limits: CommandLimits) -> TrackingMetrics:
+def tracking_metrics(run: ClosedLoopRun, limits: Limits) -> TrackingMetrics:
     """Compute the metrics of one run under the limits of its controller."""
-    error, command = run.counted_deg, run.log.command[run.first :]
+    size, command = distances(run.counted_deg), run.log.command[run.first :]
     halves = [(a + (b - a) // 2, b) for a, b in holds(run.log.reference_deg[run.first :], run.dt)]
-    still = np.concatenate([np.abs(error[a:b]) for a, b in halves]) if halves else np.array([math.nan])
-    step = run.log.step_s
+    still = np.concatenate([size[a:b] for a, b in halves]) if halves else np.array([math.nan])
+    step, changes = run.log.step_s, np.diff(run.log.command, axis=0, prepend=np.asarray(run.rest_command)[None])
     return TrackingMetrics(
-        rmse_deg=math.sqrt(float(np.mean(error**2))),
-        max_abs_deg=float(np.max(np.abs(error))),
+        rmse_deg=math.sqrt(float(np.mean(size**2))),
+        max_abs_deg=float(np.max(size)),
         hold_error_deg=float(np.mean(still)),
-        hold_command_range=max((float(np.ptp(command[a:b])) for a, b in halves), default=math.nan),
-        command_travel=float(np.sum(np.abs(np.diff(run.log.command, prepend=run.rest_command)))),
+        hold_command_range=max((float(np.max(np.ptp(command[a:b], axis=0))) for a, b in halves), default=math.nan),
+        command_travel=float(np.sum(np.abs(changes))),
         limit_violations=violations(run.log.command, run.rest_command, limits, run.dt),
         step_mean_s=float(np.mean(step)),
         step_p99_s=float(np.quantile(step, 0.99)),
@@ -85,31 +89,43 @@ def tracking_metrics(run: ClosedLoopRun, limits: CommandLimits) -> TrackingMetri
     )
 
 
+def distances(error_deg: Vec) -> Vec:
+    """Sizes (N,) of errors (N,), or of those of both angles (N, 2)."""
+    return np.abs(error_deg) if error_deg.ndim == 1 else np.hypot(*error_deg.T)
+
+
 def holds(reference_deg: Vec, dt_s: float) -> list[tuple[int, int]]:
     """Return start and stop (exclusive) of every stretch of at least 0.5 s over which the reference rests."""
-    starts, stops = runs(np.abs(np.diff(reference_deg)) <= _STILL_DEG)
+    starts, stops = runs(distances(np.diff(reference_deg, axis=0)) <= _STILL_DEG)
     pairs = zip(starts.tolist(), stops.tolist(), strict=True)
     return [(a, b + 1) for a, b in pairs if (b - a) * dt_s >= HOLD_S - _ROUNDING]
 
 
-def violations(command: Vec, before: float, limits: CommandLimits, dt_s: float) -> int:
-    """Number of samples whose command, or its change from the one before, is not finite or beyond the limits."""
-    slack = _ROUNDING * (limits.upper - limits.lower)
-    inside = (command >= limits.lower - slack) & (command <= limits.upper + slack)
-    slow = np.abs(np.diff(command, prepend=before)) <= limits.rate * dt_s + slack
-    return int(np.sum(~(inside & slow)))
+def violations(command: Vec, before: float | Vec, limits: Limits, dt_s: float) -> int:
+    """Number of samples with a command, or its change from the one before, that is not finite or beyond the limits."""
+    beyond = np.zeros(len(command), dtype=bool)
+    each = limits if isinstance(limits, tuple) else (limits,)
+    for u, start, one in zip(np.reshape(command, (len(command), -1)).T, np.ravel(before), each, strict=True):
+        slack = _ROUNDING * (one.upper - one.lower)
+        inside = (u >= one.lower - slack) & (u <= one.upper + slack)
+        slow = np.abs(np.diff(u, prepend=start)) <= one.rate * dt_s + slack
+        beyond |= ~(inside & slow)
+    return int(np.sum(beyond))
 
 
 def log_columns(run: ClosedLoopRun) -> dict[str, Sequence[str] | Vec]:
-    """Return the columns (N,) of `log.csv`; every angle belongs to the end of its sample, the command to all of it."""
-    log = run.log
+    """Return the columns (N,) of `log.csv`; every angle belongs to the end of its sample, the command to all of it.
+
+    Of two axes, each axis and command has its own: `angle_x_deg`, `command_x_mm`; see `hystmpc.sim.two_axes.columns`.
+    """
+    log, count = run.log, len(run.true_deg)
     numbers = {column: getattr(log, field) for column, field in _LOOP.items()}
     stages = {f"{_STAGE}{name.replace(' ', '_')}_s": seconds for name, seconds in log.stage_s.items()}
     command = {f"command_{run.unit}": log.command}
-    counted = {_COUNTED: (np.arange(run.true_deg.size) >= run.first).astype(np.float64)}
-    rest = {_REST: np.full(run.true_deg.size, run.rest_command)}
+    counted = {_COUNTED: (np.arange(count) >= run.first).astype(np.float64)}
+    rest = {_REST: np.full((count, *np.shape(run.rest_command)), run.rest_command)}
     texts = {"source": log.source, "status": log.status}
-    return {**command, **numbers, _TRUE: run.true_deg, **counted, **rest, **stages, **texts}
+    return apart({**command, **numbers, _TRUE: run.true_deg, **counted, **rest, **stages, **texts})
 
 
 def run_from(columns: Mapping[str, Column], lowest: float, where: str) -> ClosedLoopRun:
@@ -121,7 +137,7 @@ def run_from(columns: Mapping[str, Column], lowest: float, where: str) -> Closed
     Raises:
         LogError: if a column is missing.
     """
-    wanted = (*_LOOP, _TRUE, "source", "status")
+    columns, wanted = together(columns), (*_LOOP, _TRUE, "source", "status")
     gone = CANONICAL.missing(list(columns)) + [name for name in wanted if name not in columns]
     if gone:
         raise LogError(f"{where}: lacks {', '.join(gone)}, expected the log of a simulation; got {', '.join(columns)}")
@@ -139,7 +155,8 @@ def run_from(columns: Mapping[str, Column], lowest: float, where: str) -> Closed
     # The first sample ends one sample time after the start.
     first = int(np.argmax(_numbers(columns[_COUNTED]))) if _COUNTED in columns else 0  # logs of older versions
     true, dt = _numbers(columns[_TRUE]), float(log.time_s[0])
-    rest = float(_numbers(columns[_REST])[0]) if _REST in columns else lowest
+    first_rest = _numbers(columns[_REST])[0] if _REST in columns else lowest
+    rest = float(first_rest) if np.ndim(first_rest) == 0 else first_rest
     return ClosedLoopRun(log, true, rest, dt, CANONICAL.command[command], first)
 
 
@@ -153,7 +170,7 @@ class Result:
 
     motion: str
     controller: str
-    limits: CommandLimits
+    limits: Limits
     run: ClosedLoopRun
     metrics: TrackingMetrics
 
@@ -173,7 +190,7 @@ class StudyResult:
         warnings: one sentence for each motion beyond the reach of the model.
     """
 
-    config: SimulationConfig
+    config: AnyStudyConfig
     results: tuple[Result, ...]
     meta: Mapping[str, Any]
     warnings: tuple[str, ...] = ()
@@ -202,8 +219,15 @@ class StudyResult:
         return tuple(dict.fromkeys(result.controller for result in self.results))
 
     def plot(self, motion: str | None = None) -> Figure:
-        """Draw angle and command of every controller along one motion; the default is the first motion."""
-        return controllers_figure(self.of_motion(motion or self.motions[0]), looks(self.controllers), self.unit)
+        """Draw angle and command of every controller along one motion, or the tip in the plane of two axes.
+
+        Args:
+            motion: the first one where left out.
+        """
+        results, look = self.of_motion(motion or self.motions[0]), looks(self.controllers)
+        if results[0].run.true_deg.ndim > 1:
+            return tip_figure(results, look)
+        return controllers_figure(results, look, self.unit)
 
     def _repr_html_(self) -> str:
         from hystmpc.trials.report import Plot, Report, Table
@@ -276,22 +300,38 @@ def controllers_figure(results: Sequence[Result], look: Mapping[str, Mapping[str
         lines.append(TrackedLine(run.log.time_s, run.true_deg, run.log.command, style))
     run = results[0].run
     motion = TrackedMotion(run.log.time_s, run.log.reference_deg, lines, approach_s=run.first * run.dt)
-    limits = sorted({edge for result in results for edge in (result.limits.lower, result.limits.upper)})
+    each = [result.limits for result in results if isinstance(result.limits, CommandLimits)]
+    limits = sorted({edge for one in each for edge in (one.lower, one.upper)})
     return tracking_figure([motion], f"command [{unit}]", height=5.0, limits=limits, held=True)
 
 
-def result_of(config: SimulationConfig, motion: str, controller: str, run: ClosedLoopRun) -> Result:
+def tip_figure(results: Sequence[Result], look: Mapping[str, Mapping[str, Any]]) -> Figure:
+    """Draw the tip of each controller in the plane of both angles, over the reference; the approach is left out."""
+    from hystmpc.trials.figures import REFERENCE_LOOK, LoopPanel, loop_figure
+
+    panels = []
+    for result in results:
+        run, style = result.run, {"color": look[result.controller]["color"], "linewidth": 1.0}
+        wanted, tip = run.log.reference_deg[run.first :].T, run.true_deg[run.first :].T
+        title = f"{result.controller}: {result.metrics.rmse_deg:.3g} deg"
+        panels.append(LoopPanel(title, [(*wanted, REFERENCE_LOOK), (*tip, {**style, "label": "tip"})]))
+    return loop_figure(panels, "deg", "deg", ("angle x [deg]", "angle y [deg]"))
+
+
+def result_of(config: AnyStudyConfig, motion: str, controller: str, run: ClosedLoopRun) -> Result:
     """Return a run with its metrics under the limits of its controller."""
     limits = limits_of(config, controller)
     return Result(motion, controller, limits, run, tracking_metrics(run, limits))
 
 
-def limits_of(config: SimulationConfig, controller: str) -> CommandLimits:
+def limits_of(config: AnyStudyConfig, controller: str) -> Limits:
     """Return the limits of the device, or the narrower ones of the controller.
 
     Raises:
         ConfigError: if the settings leave the limits out.
     """
+    if isinstance(config, TwoAxisSimulationConfig):
+        return config.command_limits()
     limits: LimitsSettings | None = config.controllers[controller].resolved().limits or config.limits
     if limits is None:
         raise ConfigError("limits: got none, expected those of a run's resolved settings")
@@ -307,11 +347,14 @@ def load_results(path: Path | str) -> StudyResult:
         ConfigError: if its settings are not those of a simulation.
     """
     folder = RunFolder.open(path)
-    config = SimulationConfig.parse(folder.config(), str(folder.path / "config.yaml"))
+    data, where = folder.config(), str(folder.path / "config.yaml")
+    kind = TwoAxisSimulationConfig if says_two_axes(data, folder.path) else SimulationConfig
+    config = kind.parse(data, where)
     if config.limits is None:
-        raise ConfigError(f"{folder.path / 'config.yaml'}: limits: got none, expected those that held")
+        raise ConfigError(f"{where}: limits: got none, expected those that held")
+    lowest = config.limits.lower if isinstance(config, SimulationConfig) else 0.0
     results = tuple(
-        result_of(config, motion, controller, run_from(run.log(), config.limits.lower, str(run.path / "log.csv")))
+        result_of(config, motion, controller, run_from(run.log(), lowest, str(run.path / "log.csv")))
         for motion, controller, run in _runs(folder, config)
     )
     if not results:
@@ -319,7 +362,7 @@ def load_results(path: Path | str) -> StudyResult:
     return StudyResult(config, results, folder.meta)
 
 
-def _runs(folder: RunFolder, config: SimulationConfig) -> Iterator[tuple[str, str, RunFolder]]:
+def _runs(folder: RunFolder, config: AnyStudyConfig) -> Iterator[tuple[str, str, RunFolder]]:
     for motion in config.motions:
         for controller in config.controllers:
             below = folder.path / motion / controller

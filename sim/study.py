@@ -157,11 +157,11 @@ def _try_out(study: Study, name: str, settings: AnyControllerSettings) -> None:
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoopRun:
-    """Signals of one closed-loop run."""
+    """Signals of one closed-loop run; of two axes angles are (N, 2) and commands (N, n)."""
 
     log: LoopLog  # of the loop, with measured angles, N samples
     true_deg: Vec  # angles without sensor noise at the ends of the samples (N,) [deg]
-    rest_command: float  # command held before the first sample
+    rest_command: float | Vec  # command held before the first sample
     dt: float  # sample time [s]
     unit: str
     first: int = 0  # first sample that counts, after the approach
@@ -176,6 +176,11 @@ class ClosedLoopRun:
     def counted_deg(self) -> Vec:
         """Part of `error_deg` after the approach [deg]."""
         return self.error_deg[self.first :]
+
+    @property
+    def axis_rmse_deg(self) -> tuple[float, ...]:
+        """Root mean square error of x and y of two axes [deg]; empty of one axis."""
+        return tuple(np.sqrt(np.mean(self.counted_deg**2, axis=0)).tolist()) if self.true_deg.ndim > 1 else ()
 
 
 @final

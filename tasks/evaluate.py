@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from json import dumps
 from pathlib import Path
@@ -16,7 +16,7 @@ from hystmpc.trials.files import figures_to, write_atomically
 from hystmpc.trials.read import AnyLayout
 from hystmpc.trials.types import Progress
 
-from .inputs import Logs, Model, Say, as_list, files_read, opened, trials_at
+from .inputs import Logs, Model, Say, as_list, both_axes_of, files_read, of_two_axes, opened, trials_at
 from .outputs import EVALUATION, check_output, check_page
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from hystmpc.models.contract.metadata import ModelMetadata
     from hystmpc.models.evaluate import Errors, TrialEvaluation
     from hystmpc.models.model import LoadedModel
+    from hystmpc.models.two_axes.model import TwoAxisModel
     from hystmpc.trials.report import Report
     from hystmpc.trials.trial import Trial
 
@@ -34,12 +35,15 @@ class Evaluation:
     """Free runs of a model over trials: from the command alone, against the measured angle.
 
     Attributes:
-        trials: the runs, each with `trial`, the model's angle `theta` (T,) and `errors`.
+        trials: the runs, each with `trial`, the model's angle `theta` (T,) and `errors`; of two axes `theta` is (T, 2),
+            `errors` are those of the tip, and `axes` those of x and y.
         subtitle: of the page; if empty, the number of trials.
+        two_axes: the model, if it has two axes.
     """
 
     trials: tuple[TrialEvaluation, ...]
     subtitle: str = ""
+    two_axes: TwoAxisModel | None = None
 
     @property
     def mean(self) -> Errors:
@@ -79,8 +83,10 @@ class Evaluation:
 
     def _page(self) -> Report:
         from hystmpc.models.evaluation_report import evaluation_report
+        from hystmpc.models.two_axes.report import joint_pieces
 
-        return evaluation_report("Free run", self.subtitle or f"{len(self)} trials", [("", self.trials)])
+        more = () if self.two_axes is None else tuple(joint_pieces(self.two_axes))
+        return evaluation_report("Free run", self.subtitle or f"{len(self)} trials", [("", self.trials)], more)
 
     def _repr_html_(self) -> str:
         return self._page().fragment()
@@ -102,13 +108,15 @@ def evaluate(
 ) -> Evaluation:
     """Compare the free run of a model over the commands of trials with the measured angle.
 
+    A model of two axes takes logs of two axes; its errors are those of the tip and of each axis.
+
     Args:
         model: a fit, simulator, opened model or file.
         trials: logs, data frames or trials, resampled to the model's rate; an inverse map runs over them swapped.
         layout: layout of the logs: auto, canonical, tendon-catheter, or a mapping file *.yaml.
         sampled_hz: rate [Hz] of logs sampled evenly; stands in for a broken or missing clock.
         skip_first_flexure: count each trial only from the command's first reversal on.
-        json: write hystmpc-evaluation/1 here.
+        json: write hystmpc-evaluation/1 here, or hystmpc-two-axis-evaluation/1.
         report: write one page with tables and figures here, .html.
         figures: new folder for every figure of the report: SVG, PDF, and its data as CSV.
         force: replace an older file of the same kind; never one of another.
@@ -125,13 +133,20 @@ def evaluate(
     if json is not None:
         check_output("--json", json, (EVALUATION,), inputs, force)
     check_page(report, figures, inputs, force)
-    runs = opened(model)
-    recorded = trials_at(logs, layout, 1 / runs.metadata.dt_s, sampled_hz, say)
-    evaluation = free_runs(runs, recorded, skip_first_flexure, progress, "" if file is None else str(model))
-    if say is not None:
-        warn_outside(evaluation, runs.metadata, say)
-        for line in beyond_inputs(runs, recorded):
-            say(line)
+    subtitle, both = "" if file is None else str(model), of_two_axes(model)
+    if both is not None:
+        recorded = both_axes_of(logs, layout, 1 / both.dt_s, sampled_hz, say)
+        evaluation = free_runs(both, recorded, skip_first_flexure, progress, subtitle)
+        if say is not None:
+            warn_outside(evaluation, "an axis", say)
+    else:
+        runs = opened(model)
+        recorded = trials_at(logs, layout, 1 / runs.metadata.dt_s, sampled_hz, say)
+        evaluation = free_runs(runs, recorded, skip_first_flexure, progress, subtitle)
+        if say is not None:
+            warn_outside(evaluation, _trained(runs.metadata), say)
+            for line in beyond_inputs(runs, recorded):
+                say(line)
     if json is not None:
         from hystmpc.models.evaluate import evaluation_json
 
@@ -143,17 +158,26 @@ def evaluate(
 
 
 def free_runs(
-    model: LoadedModel, trials: list[Trial], skip: bool, progress: Progress | None = None, subtitle: str = ""
+    model: LoadedModel | TwoAxisModel,
+    trials: Sequence[Trial],
+    skip: bool,
+    progress: Progress | None = None,
+    subtitle: str = "",
 ) -> Evaluation:
     """Free runs over trials at the model's rate."""
     from hystmpc.models.evaluate import evaluate as free_run
+    from hystmpc.models.two_axes.evaluate import evaluate_two_axes
+    from hystmpc.models.two_axes.model import TwoAxisModel
 
-    runs = []
+    runs: list[TrialEvaluation] = []
     for trial in trials:
-        runs.append(free_run(model, trial, skip))
+        if isinstance(model, TwoAxisModel):
+            runs.append(evaluate_two_axes(model, trial, skip))
+        else:
+            runs.append(free_run(model, trial, skip))
         if progress is not None:
             progress(len(runs), len(trials), "free runs")
-    return Evaluation(tuple(runs), subtitle)
+    return Evaluation(tuple(runs), subtitle, model if isinstance(model, TwoAxisModel) else None)
 
 
 def beyond_inputs(model: LoadedModel, trials: Iterable[Trial]) -> Iterator[str]:
@@ -167,13 +191,16 @@ def beyond_inputs(model: LoadedModel, trials: Iterable[Trial]) -> Iterator[str]:
                 break
 
 
-def warn_outside(evaluation: Evaluation, facts: ModelMetadata, say: Say) -> None:
-    """Warn of commands outside the range of the model's identification."""
+def warn_outside(evaluation: Evaluation, trained: str, say: Say) -> None:
+    """Warn of commands outside the range of the model's identification, given in words."""
     beyond = [run for run in evaluation if run.outside > 0]
     if beyond:
-        worst, trained = max(beyond, key=lambda run: run.outside), facts.trained_command
+        worst = max(beyond, key=lambda run: run.outside)
         say(
-            f"{len(beyond)} of {len(evaluation)} trials leave the identified range of {trained.lower:.4g} to "
-            f"{trained.upper:.4g} {facts.command_unit}, where the model guesses: {100 * worst.outside:.1f} % of the "
-            f"samples of {Path(worst.trial.source).name}"
+            f"{len(beyond)} of {len(evaluation)} trials leave the identified range of {trained}, where the model "
+            f"guesses: {100 * worst.outside:.1f} % of the samples of {Path(worst.trial.source).name}"
         )
+
+
+def _trained(facts: ModelMetadata) -> str:
+    return f"{facts.trained_command.lower:.4g} to {facts.trained_command.upper:.4g} {facts.command_unit}"

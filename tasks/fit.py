@@ -19,8 +19,8 @@ from hystmpc.trials.trial import SlowLogError, Trial, Units
 from hystmpc.trials.types import Progress
 
 from .evaluate import Evaluation, evaluate, free_runs
-from .fit_both import fit_both
-from .inputs import Logs, Say, as_list, files_read, opened, trials_at
+from .fit_both import FitOfBothAxes, fit_both, write_page_of_both
+from .inputs import Logs, Say, as_list, files_read, of_two_axes, opened, trials_at
 from .outputs import MODEL, SIMULATOR, check_output, check_page
 
 if TYPE_CHECKING:
@@ -199,18 +199,19 @@ def fit(
     )  # fmt: skip
     chosen.check([], request)
     recorded, held = _with_inputs(read(logs, say), read(tests, say) if tests else [], names, say)
-    if (both := both_axes(recorded)) is not None:
-        only_one = {"inverse": inverse, "drive": drive, "residual": residual, "report": report, "figures": figures}
-        return cast(Fit, fit_both(chosen, both, held, request, out, only_one | {"input": names}, progress, say))
-    _warn_of_limits([*recorded, *held], request.limits.command, say)
-    used = _turned(recorded, inverse)
-    done = _identify(chosen, used, request, progress, say)
-    made = Fit(kind, done, used, exported=None if out is None else _written(done, Path(out), progress))
+    if (both := both_axes([*recorded, *held])) is not None:
+        only_one = {"inverse": inverse, "drive": drive, "residual": residual, "input": names}
+        recorded, held = both[: len(recorded)], both[len(recorded) :]
+        made = cast(Fit, fit_both(chosen, recorded, request, out, only_one, progress, say))
+    else:
+        _warn_of_limits([*recorded, *held], request.limits.command, say)
+        done = _identify(chosen, used := _turned(recorded, inverse), request, progress, say)
+        made = Fit(kind, done, used, exported=None if out is None else _written(done, Path(out), progress))
     if out is None and report is None and not held:
         return made
     sets = {which: part for which, part in ((SEEN, recorded), (UNSEEN, held)) if part}
     with figures_to(figures):
-        return _scored(made, out, sets, skip_first_flexure, report, progress)
+        return cast(Fit, _scored(made, out, sets, skip_first_flexure, report, progress))
 
 
 def _turned(trials: Iterable[Trial], inverse: bool) -> tuple[Trial, ...]:
@@ -242,19 +243,27 @@ def _with_inputs(
 
 
 def _scored(
-    made: Fit,
+    made: Fit | FitOfBothAxes,
     out: Path | str | None,
     sets: Mapping[str, list[Trial]],
     skip: bool,
     report: Path | str | None,
     progress: Progress | None,
-) -> Fit:
+) -> Fit | FitOfBothAxes:
     """Add free runs of the written model over each set of trials, and write the page."""
+    name = made.kind if out is None else Path(out).name
+    if isinstance(made, FitOfBothAxes):
+        both = of_two_axes(made if out is None else out) or made.model
+        scores = [(which, free_runs(both, trials, skip, progress)) for which, trials in sets.items()]
+        made = replace(made, evaluations=tuple(scores))
+        if report is not None:
+            write_page_of_both(made, report, name)
+        return made
     model = opened(made if out is None else out)
     scores = [(which, free_runs(model, trials, skip, progress)) for which, trials in sets.items()]
     made = replace(made, evaluations=tuple(scores))
     if report is not None:
-        _write_page(made, report, made.kind if out is None else Path(out).name, model)
+        _write_page(made, report, name, model)
     return made
 
 

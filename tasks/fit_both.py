@@ -8,17 +8,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from hystmpc.trials.axes import both_axes
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
-from hystmpc.trials.types import Progress, Vec
+from hystmpc.trials.types import Progress
 
+from .evaluate import Evaluation, free_runs
 from .inputs import Say
 from .outputs import SIMULATOR, check_output
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from hystmpc.models.kinds.kind import FitRequest, ModelKind
     from hystmpc.models.two_axes.identify import TwoAxisFit
     from hystmpc.models.two_axes.model import TwoAxisModel
@@ -34,13 +34,13 @@ class FitOfBothAxes:
         kind: of every axis.
         identified: model, what joins the axes, errors.
         trials: trials of the identification, of commands (T, 2) and angles (T, 2).
-        unseen_deg: errors of free runs over trials that the fit has not seen (2,) [deg]; None without any.
+        evaluations: free runs of the written model on each set of trials, see `Fit`.
     """
 
     kind: str
     identified: TwoAxisFit = field(repr=False)
     trials: tuple[Trial, ...] = field(repr=False)
-    unseen_deg: Vec | None = None
+    evaluations: tuple[tuple[str, Evaluation], ...] = field(default=(), repr=False)
 
     @property
     def model(self) -> TwoAxisModel:
@@ -50,8 +50,11 @@ class FitOfBothAxes:
     @property
     def report(self) -> str:
         """What joins the axes, and the errors, in one line."""
-        unseen = "" if self.unseen_deg is None else f"; unseen {self.unseen_deg[0]:.3g}, {self.unseen_deg[1]:.3g} deg"
-        return f"{self.kind}: {self.identified.report}{unseen}"
+        return f"{self.kind}: {self.identified.report}"
+
+    def plot(self) -> Figure:
+        """Draw the free run of the model on the trials of its identification."""
+        return free_runs(self.model, self.trials, False).plot()
 
     def save(self, path: Path | str, *, force: bool = False) -> Path:
         """Write the model (`.yaml`).
@@ -66,7 +69,6 @@ class FitOfBothAxes:
 def fit_both(
     kind: ModelKind,
     trials: Sequence[Trial],
-    held: Sequence[Trial],
     request: FitRequest,
     out: Path | str | None,
     only_one: Mapping[str, object],
@@ -76,7 +78,6 @@ def fit_both(
     """Identify a model of two axes.
 
     Args:
-        held: trials that the fit does not see.
         out: file to write, `.yaml`.
         only_one: options by name that one axis alone has.
         progress: called with steps done, their number and the error so far.
@@ -102,13 +103,24 @@ def fit_both(
         if progress is not None:
             progress(steps, total, f"best {rmse:.4g} deg")
 
-    done, unseen = fit_two_axes(kind, trials, request, [request.limits] * 2, tell), None
+    done = fit_two_axes(kind, trials, request, [request.limits] * 2, tell)
     if done.interrupted and say is not None:
         say("interrupted: the best so far of each axis is kept")
-    if others := both_axes(held):
-        errors = [done.model.run(trial.commands, trial.angles[0]) - trial.angles for trial in others]
-        unseen = np.sqrt(np.mean(np.vstack(errors) ** 2, axis=0))
-    made = FitOfBothAxes(kind.name, done, tuple(trials), unseen)
     if out is not None:
         done.model.save(out)
-    return made
+    return FitOfBothAxes(kind.name, done, tuple(trials))
+
+
+def write_page_of_both(made: FitOfBothAxes, path: Path | str, name: str) -> None:
+    """Write the page of a fit of two axes: errors, figures, and what joins the axes."""
+    from hystmpc.models.evaluation_report import evaluation_report
+    from hystmpc.models.two_axes.report import joint_pieces
+    from hystmpc.trials.report import Heading, Paragraph, Points
+
+    parts = [
+        f"{axis}: {' + '.join(operator.name for operator in simulator.chain.operators)}"
+        for axis, simulator in zip("xy", made.model.axes, strict=True)
+    ]
+    axes = (Heading("The axes"), Paragraph(f"{made.report}."), Points(tuple(parts)))
+    sets = [(which, evaluation.trials) for which, evaluation in reversed(made.evaluations)]
+    evaluation_report(f"Fit of {name}", f"{made.kind}, two axes", sets, (*joint_pieces(made.model), *axes)).save(path)

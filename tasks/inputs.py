@@ -8,11 +8,12 @@ from copy import deepcopy
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeVar
 
+from hystmpc.trials.axes import both_axes, in_channels
 from hystmpc.trials.check import Severity, check
 from hystmpc.trials.command_noise import noise_text
 from hystmpc.trials.config import Settings as Keys
 from hystmpc.trials.config import load_settings, override
-from hystmpc.trials.errors import ConfigError, ModelError
+from hystmpc.trials.errors import ConfigError, LogError, ModelError
 from hystmpc.trials.findings import gaps_text
 from hystmpc.trials.from_outside import allow_python
 from hystmpc.trials.read import AnyLayout, Log, at_rate, expand_logs
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from hystmpc.models.contract.metadata import Start
     from hystmpc.models.model import LoadedModel
     from hystmpc.models.simulator import Simulator
+    from hystmpc.models.two_axes.model import TwoAxisModel
 
 S = TypeVar("S", bound=Keys)
 
@@ -60,6 +62,34 @@ def opened(model: Model, start: Start = "initial") -> LoadedModel:
         runs = model.model
         model = runs.simulator if isinstance(runs, ChainModel) else runs
     return ChainModel(model, start) if isinstance(model, Simulator) else model
+
+
+def of_two_axes(model: object) -> TwoAxisModel | None:
+    """The model of two axes, of a fit, itself or a file; None for a model of one axis."""
+    from hystmpc.models.two_axes.model import TwoAxisModel, has_two_axes, load_two_axes
+
+    if isinstance(model, Path | str):
+        return load_two_axes(model) if has_two_axes(model) else None
+    known = getattr(model, "model", model)
+    return known if isinstance(known, TwoAxisModel) else None
+
+
+def both_axes_of(
+    logs: Sequence[Log], layout: AnyLayout, rate_hz: float, sampled_hz: float | None, say: Say | None
+) -> list[Trial]:
+    """Read logs of two axes and resample them to a rate, see `trials_at`.
+
+    Raises:
+        LogError: if they have one axis, or as `trials_at`.
+    """
+    plain = [in_channels(log) if isinstance(log, Trial) else log for log in logs]
+    recorded = trials_at(plain, layout, rate_hz, sampled_hz, say, most_axes=2)
+    if (both := both_axes(recorded)) is None:
+        raise LogError(
+            f"{recorded[0].source}: a log of one axis, expected two for a model of two axes: command_x, command_y, "
+            "angle_x_deg and angle_y_deg, or the same by a mapping file"
+        )
+    return both
 
 
 def chain_or_model(model: Model) -> Simulator | LoadedModel:

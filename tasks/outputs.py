@@ -60,7 +60,8 @@ def _of_fmu(path: Path) -> str:
 
 MODEL = Output("an ONNX model of hystmpc", (".onnx",), _of_model, ("hystmpc-model/",))
 SIMULATOR = Output("a simulator file", (".yaml", ".yml"), _of_data, ("hystmpc-simulator/", "hystmpc-two-axes/"))
-EVALUATION = Output("an evaluation", (".json",), _of_data, ("hystmpc-evaluation/", "hystmpc-inverse-evaluation/"))
+_EVALUATIONS = ("hystmpc-evaluation/", "hystmpc-inverse-evaluation/", "hystmpc-two-axis-evaluation/")
+EVALUATION = Output("an evaluation", (".json",), _of_data, _EVALUATIONS)
 BENCHMARK = Output("a benchmark's result", (".json",), _of_data, ("hystmpc-bench/",))
 C_CODE = Output("an exported controller", (".c", ".h"), _of_text, ("hystmpc",))
 FMU = Output("an FMU of hystmpc", (".fmu",), _of_fmu, ("hystmpc",))

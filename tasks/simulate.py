@@ -22,10 +22,11 @@ if TYPE_CHECKING:
     from hystmpc.sim.results import StudyResult
     from hystmpc.sim.sweep.run import ReproducedFigure, SweepOutcome
     from hystmpc.sim.tuning.objective import Tuning
+    from hystmpc.sim.two_axes.config import TwoAxisSimulationConfig
 
 
 def simulate(
-    config: Settings | SimulationConfig,
+    config: Settings | SimulationConfig | TwoAxisSimulationConfig,
     out: Path | str | None = None,
     *,
     overrides: Iterable[str] = (),
@@ -34,6 +35,8 @@ def simulate(
     progress: Progress | None = None,
 ) -> StudyResult:
     """Run every controller of a study along every motion on a simulated device; Ctrl-C keeps the finished runs.
+
+    A model of two axes has motions in the plane of both angles.
 
     Args:
         config: study of plant, model, motions and controllers: a YAML file, a mapping or the settings.
@@ -49,13 +52,24 @@ def simulate(
     """
     from hystmpc.sim.compare import compare
     from hystmpc.sim.config import SimulationConfig, load_simulation
+    from hystmpc.sim.two_axes.config import (
+        TwoAxisSimulationConfig,
+        file_of_two_axes,
+        load_two_axis_simulation,
+        says_two_axes,
+    )
 
     allow_classes(allow_python)
     changes = [*(_added(name, one) for name, one in (controllers or {}).items()), *overrides]
     if isinstance(config, Path | str):
-        config = load_simulation(config, changes)
+        config = (
+            load_two_axis_simulation(config, changes) if file_of_two_axes(config) else load_simulation(config, changes)
+        )
     elif isinstance(config, Mapping):
-        config = settings_of(SimulationConfig, config, changes)
+        if says_two_axes(config, Path()):
+            config = settings_of(TwoAxisSimulationConfig, config, changes)
+        else:
+            config = settings_of(SimulationConfig, config, changes)
     elif changes:
         raise ConfigError("simulate: --set does nothing with settings that are complete, expected a file or a mapping")
     if out is not None:

@@ -12,7 +12,7 @@ from hystmpc.trials import lazily
 
 if TYPE_CHECKING:
     from .motion import MotionLimits
-    from .plane import PlaneMotion, circle, lissajous, raster, ring, spiral, star, through_points
+    from .plane import PlaneMotion, circle, lissajous, raster, ring, spiral, star, through_points, through_tips
     from .point_to_point import PointToPoint, random_point_to_point
     from .scan import Raster, SinusoidScan, TriangleScan
     from .trajectory import PreviewTable, Sampled, Trajectory, preview, sample
@@ -37,6 +37,7 @@ __all__ = [
     "spiral",
     "star",
     "through_points",
+    "through_tips",
 ]
 
 if not TYPE_CHECKING:
@@ -44,7 +45,10 @@ if not TYPE_CHECKING:
         __name__,
         ("hystmpc.trajectories.point_to_point", "PointToPoint random_point_to_point"),
         ("hystmpc.trajectories.motion", "MotionLimits"),
-        ("hystmpc.trajectories.plane", "PlaneMotion circle lissajous raster ring spiral star through_points"),
+        (
+            "hystmpc.trajectories.plane",
+            "PlaneMotion circle lissajous raster ring spiral star through_points through_tips",
+        ),
         ("hystmpc.trajectories.scan", "Raster SinusoidScan TriangleScan"),
         ("hystmpc.trajectories.trajectory", "PreviewTable Sampled Trajectory preview sample"),
     )

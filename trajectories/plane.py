@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hystmpc.trials.errors import TrajectoryError
+from hystmpc.trials.tip import angles_from_tip_aside
 from hystmpc.trials.types import Vec
 
 from .motion import Kinematics, MotionLimits, PiecewiseCubic, hold
@@ -19,6 +20,8 @@ from .trajectory import Trajectory, inside
 
 Point = tuple[float, float]
 _AXES = 2
+_LOOKED_AT = 2000  # points of a motion in mm whose reach is looked at
+_APPROACH_HOLD_S, _ROUNDING = 1.0, 1e-9
 
 
 @final
@@ -140,6 +143,40 @@ def raster(
         ends = (corner[0], far_corner[0]) if row % 2 == 0 else (far_corner[0], corner[0])
         points += [(ends[0], height), (ends[1], height)]
     return through_points(points, hold_s, limits)
+
+
+def through_tips(motion_mm: PlaneMotion, length_mm: float) -> PlaneMotion:
+    """Angles whose tip follows a motion of x and y in mm, of a bending part of constant curvature; see `trials.tip`.
+
+    Args:
+        motion_mm: any motion of this module, made of numbers in mm: `through_tips(spiral((0, 0), 12.0, 4.0), 60.0)`.
+        length_mm: of the bending part.
+
+    Raises:
+        TrajectoryError: if the motion leaves the reach, .7246 of the length aside, or the length is not positive.
+    """
+    if not (np.isfinite(length_mm) and length_mm > 0):
+        raise TrajectoryError(f"length_mm: got {length_mm}, expected a positive number")
+    angles_from_tip_aside(motion_mm(np.linspace(0.0, motion_mm.duration_s, _LOOKED_AT)), length_mm)
+    return PlaneMotion(lambda t: angles_from_tip_aside(motion_mm(t), length_mm), motion_mm.duration_s)
+
+
+def after_approach(
+    motion: PlaneMotion, rest_deg: Point, dt_s: float, limits: MotionLimits | None = None
+) -> PlaneMotion:
+    """Motion behind a straight move from a rest to its start, with holds; the move lasts whole samples.
+
+    Raises:
+        TrajectoryError: if no move is found.
+    """
+    start: Point = (float(motion(0.0)[0]), float(motion(0.0)[1]))
+    lead = through_points([rest_deg, start], _APPROACH_HOLD_S, limits)
+    lead_s = float(np.ceil(lead.duration_s / dt_s - _ROUNDING)) * dt_s
+
+    def angles(t: Vec) -> Vec:
+        return np.where((t < lead_s)[..., None], lead(t), motion(t - lead_s))
+
+    return PlaneMotion(angles, lead_s + motion.duration_s)
 
 
 def _around(centre: Point, radius: float, count: int, stride: int, visited: int) -> list[Point]:

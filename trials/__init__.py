@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from .errors import HystmpcError
     from .from_outside import allow_python
     from .read import read_trials
+    from .tip import angles_from_bend, angles_from_tip, angles_from_tip_aside, tip_from_angles
     from .trial import Trial, Units, resample
 
 __all__ = [
@@ -22,8 +23,12 @@ __all__ = [
     "Trial",
     "Units",
     "allow_python",
+    "angles_from_bend",
+    "angles_from_tip",
+    "angles_from_tip_aside",
     "read_trials",
     "resample",
+    "tip_from_angles",
     "write_csv",
 ]
 
@@ -57,5 +62,6 @@ if not TYPE_CHECKING:  # a type checker knows the names above and no others
         ("hystmpc.trials.errors", "HystmpcError"),
         ("hystmpc.trials.from_outside", "allow_python"),
         ("hystmpc.trials.read", "read_trials"),
+        ("hystmpc.trials.tip", "angles_from_bend angles_from_tip angles_from_tip_aside tip_from_angles"),
         ("hystmpc.trials.trial", "Trial Units resample"),
     )

@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from .errors import LogError
+from .layouts import ANGLE_Y
 from .signals import UncheckedLog
 from .trial import Trial
 
-COMMAND_Y, ANGLE_Y = "command_y", "angle_y_deg"
-"""Channels of the second axis; the command's perhaps with the unit of the first one, as in `command_y_bar`."""
+COMMAND_Y = "command_y"
+"""Channel of the second command, perhaps with the unit of the first one, as in `command_y_bar`."""
 
 
 def both_axes(trials: Sequence[Trial]) -> list[Trial] | None:

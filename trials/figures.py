@@ -118,8 +118,14 @@ class LoopPanel:
     curves: Sequence[tuple[Vec, Vec, Look]]  # command, output, (T,) each, and look
 
 
-def loop_figure(panels: Sequence[LoopPanel], command_unit: str, output_unit: str) -> Figure:
-    """Draw output over command, the hysteresis loop, with a panel for each trial or controller."""
+def loop_figure(
+    panels: Sequence[LoopPanel], command_unit: str, output_unit: str, names: tuple[str, str] | None = None
+) -> Figure:
+    """Draw output over command, the hysteresis loop, with a panel for each trial or controller.
+
+    Args:
+        names: labels of both directions, on one scale: for two angles in place of command and output.
+    """
     across = min(_ACROSS, len(panels))
     lines = -(-len(panels) // across)
     full = across == _ACROSS
@@ -129,12 +135,15 @@ def loop_figure(panels: Sequence[LoopPanel], command_unit: str, output_unit: str
             for command, output, look in panel.curves:
                 draw_long(axes, command, output, **look)
             axes.set_title(shortened(panel.title, 30 if full else 46), fontsize=8.5)
+            if names is not None:
+                axes.set_aspect("equal")
         for axes in grid[len(panels) :]:
             axes.remove()
         for axes in grid[max(len(panels) - across, 0) : len(panels)]:
             axes.tick_params(labelbottom=True)
-        figure.supxlabel(f"command [{command_unit}]", fontsize=9.0)
-        figure.supylabel(output_label(output_unit), fontsize=9.0)
+        x, y = (f"command [{command_unit}]", output_label(output_unit)) if names is None else names
+        figure.supxlabel(x, fontsize=9.0)
+        figure.supylabel(y, fontsize=9.0)
         if entries := grid[0].get_legend_handles_labels()[0]:
             figure.legend(handles=entries, loc="outside upper center", ncols=3)
     return figure

@@ -10,10 +10,13 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from .config import Positive, Settings, load_settings
 from .errors import ConfigError, LogError, did_you_mean
+from .tip import angles_from_bend, angles_from_tip
+from .types import Vec
 
 
 @dataclass(frozen=True)
@@ -169,6 +172,9 @@ TWO_AXES = Layout(
     command={"command_x": COMMAND_UNITS[0]} | {f"command_x_{unit}": unit for unit in COMMAND_UNITS},
     angle="angle_x_deg",
 )
+
+ANGLE_Y = "angle_y_deg"
+"""Channel of the second angle of a log of two axes."""
 
 LAYOUTS: tuple[Layout, ...] = (CANONICAL, TWO_AXES, TENDON_CATHETER)
 
@@ -329,11 +335,60 @@ class InputSettings(SignalSettings):
         return fitting[0]
 
 
+class TipSignals(Settings):
+    """Two bending angles by the tip of a bend of constant curvature: a bend and its plane, or a position.
+
+    Attributes:
+        bend: angle between base and tip [deg or rad].
+        plane: direction of the bend around the base, from x to y [deg or rad]; it wraps at a turn.
+        x, y, z: position of the tip in one unit of length, seen from the base of the bending part, which is straight
+            along z; `offset` moves the origin there.
+    """
+
+    bend: AngleSettings | None = None
+    plane: AngleSettings | None = None
+    x: SignalSettings | None = None
+    y: SignalSettings | None = None
+    z: SignalSettings | None = None
+
+    @model_validator(mode="after")
+    def _bend_or_position(self) -> TipSignals:
+        given = {name for name in ("bend", "plane", "x", "y", "z") if getattr(self, name) is not None}
+        if given not in ({"bend", "plane"}, {"x", "y", "z"}):
+            raise ValueError(f"got {', '.join(sorted(given)) or 'nothing'}, expected bend and plane, or x, y and z")
+        angles = [one.unit for one in (self.bend, self.plane) if one is not None]
+        if any(unit not in _TURNS for unit in angles):
+            raise ValueError(f"got {' and '.join(angles)}, expected bend and plane in deg or rad")
+        return self
+
+    def signals(self) -> tuple[SignalSettings, ...]:
+        """Bend and plane, or x, y and z."""
+        plane = self.plane
+        if plane is not None and plane.wraps_at is None and plane.scale == 1.0:
+            plane = plane.model_copy(update={"wraps_at": _TURNS[plane.unit]})
+        return tuple(one for one in (self.bend, plane, self.x, self.y, self.z) if one is not None)
+
+    def angles(self, values: Sequence[Vec]) -> Vec:
+        """Bending angles (T, 2) [deg] of the signals' values (T,).
+
+        Raises:
+            LogError: if a tip is behind its base.
+        """
+        if self.bend is None or self.plane is None:
+            return angles_from_tip(np.stack(values, axis=-1))
+        bend, plane = (360 / _TURNS[one.unit] * v for one, v in zip((self.bend, self.plane), values, strict=True))
+        return angles_from_bend(bend, plane)
+
+
+_TURNS = {"deg": 360.0, "rad": 2 * math.pi}
+
+
 class LogMapping(Settings):
     """Mapping of the signals of a log to time, command, angle, channels and measured inputs.
 
     Attributes:
         command, angle: the two signals that every trial has.
+        tip: in place of the angle, signals of the tip that give two bending angles.
         channels: further signals under the names they get.
         inputs: measured signals on which the device depends, such as a pressure, under the names they get.
         time: a signal that holds time; or `log` (when a message was logged) or `header` (`header.stamp`).
@@ -345,6 +400,7 @@ class LogMapping(Settings):
 
     command: CommandSettings
     angle: AngleSettings
+    tip: TipSignals | None = None
     channels: dict[str, SignalSettings] = Field(default_factory=dict)
     inputs: dict[str, InputSettings] = Field(default_factory=dict)
     time: Annotated[str, Field(min_length=1)] = LOG_TIME
@@ -353,14 +409,32 @@ class LogMapping(Settings):
     rate_hz: Positive | None = None
     base: Literal["angle", "command"] = "angle"
 
+    @model_validator(mode="before")
+    @classmethod
+    def _angle_of_tip(cls, data: Any) -> Any:
+        """The first signal of a tip is that of the angle, whose time stamps count."""
+        if not isinstance(data, Mapping) or data.get("tip") is None:
+            return data
+        if "angle" in data:
+            raise ValueError("got angle and tip, expected one of them")
+        tip = data["tip"] if isinstance(data["tip"], Mapping) else {}
+        first = tip.get("bend") or tip.get("x") or "tip"
+        return {**data, "angle": first if "bend" in tip else _in_mm(first)}
+
     @property
     def name(self) -> str:
         """Name of this layout in messages."""
         return "mapping"
 
     def signals(self) -> tuple[SignalSettings, ...]:
-        """Command, angle, channels and the inputs that are signals, in this order."""
-        return (self.command, self.angle, *self.channels.values(), *(i for i in self.inputs.values() if i.signal))
+        """Command, angle, channels, the inputs that are signals, and those of the tip behind its first."""
+        further = () if self.tip is None else self.tip.signals()[1:]
+        inputs = (one for one in self.inputs.values() if one.signal)
+        return (self.command, self.angle, *self.channels.values(), *inputs, *further)
+
+
+def _in_mm(signal: Any) -> Any:
+    return {**signal, "unit": "mm"} if isinstance(signal, Mapping) else {"signal": signal, "unit": "mm"}
 
 
 def is_mapping_file(layout: str) -> bool:

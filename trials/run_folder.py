@@ -25,7 +25,7 @@ from .errors import ConfigError, LogError
 from .files import require_writable, write_atomically
 from .formats import read_lines
 from .json_text import file_hash
-from .layouts import CANONICAL
+from .layouts import CANONICAL, TWO_AXES
 from .tables import read_table
 from .trial import Trial
 
@@ -120,13 +120,13 @@ class RunFolder:
         """Write `log.csv`, and `log.mcap` if `mcap` is installed.
 
         Args:
-            columns: `time_s`, `command` (or `command_bar`, ...), `angle_deg`, then any further numbers or texts,
-                each (T,).
+            columns: `time_s`, `command` (or `command_bar`, ...), `angle_deg`, or those of two axes, then any further
+                numbers or texts, each (T,).
 
         Raises:
             LogError: if a canonical column is missing or lengths differ.
         """
-        if gone := CANONICAL.missing(list(columns)):
+        if (gone := CANONICAL.missing(list(columns))) and TWO_AXES.missing(list(columns)):
             raise LogError(f"{self.path}: log lacks {', '.join(gone)}; got {', '.join(columns)}")
         arrays = {name: _column(values) for name, values in columns.items()}
         lengths = {name: len(values) for name, values in arrays.items()}
@@ -154,7 +154,9 @@ class RunFolder:
 
     def trial(self) -> Trial:
         """The log as a trial, for replay or identification; columns of text are left out."""
-        return read_csv(self.path / "log.csv", CANONICAL)
+        file = self.path / "log.csv"
+        header = read_lines(file)[0].split(",")
+        return read_csv(file, TWO_AXES if CANONICAL.missing(header) and not TWO_AXES.missing(header) else CANONICAL)
 
 
 def require_vacant(folder: Path | str) -> None:

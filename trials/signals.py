@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from .encodings import decoded
 from .errors import LogError, nearest, shown
 from .layouts import (
     ANGLE_UNIT_OF,
+    ANGLE_Y,
     CANONICAL,
     COMMAND_UNIT_OF,
     HEADER_TIME,
@@ -23,6 +24,7 @@ from .layouts import (
     OUTPUT_COLUMN,
     LogMapping,
     SignalSettings,
+    TipSignals,
     few,
 )
 from .tables import LogTable
@@ -301,7 +303,7 @@ def _joined(source: SignalLog, mapping: LogMapping, logged: Sequence[Series]) ->
     unit, factor = COMMAND_UNIT_OF.get(mapping.command.unit, (mapping.command.unit, 1.0))
     angle_unit, angle_factor = ANGLE_UNIT_OF.get(mapping.angle.unit, (mapping.angle.unit, 1.0))
     others = iter(signals[2:])
-    return UncheckedLog(
+    log = UncheckedLog(
         t,
         factor * signals[0],
         angle_factor * signals[1],
@@ -315,6 +317,17 @@ def _joined(source: SignalLog, mapping: LogMapping, logged: Sequence[Series]) ->
             for name, settings in mapping.inputs.items()
         },
     )
+    return log if mapping.tip is None else _with_tip(log, mapping.tip, [signals[1], *others])
+
+
+def _with_tip(log: UncheckedLog, tip: TipSignals, values: Sequence[Vec]) -> UncheckedLog:
+    """Log whose two angles are those of a tip."""
+    try:
+        x, y = tip.angles(values).T
+    except LogError as error:
+        raise LogError(f"{log.source}: {error}") from None
+    units = Units(log.units.command, "deg", inverse=False)
+    return replace(log, angle=np.ascontiguousarray(x), channels={**log.channels, ANGLE_Y: y.copy()}, units=units)
 
 
 def _two_clocks(mapping: LogMapping, command: Series, angle: Series) -> str:

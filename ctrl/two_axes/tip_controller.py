@@ -162,7 +162,7 @@ class TwoAxisTipController:
     """
 
     def __init__(self, model: TwoAxisModel, settings: TwoAxisTipSettings) -> None:
-        self._settings, model = settings, _limited(model, settings.limits)
+        self._settings, model = settings, within_limits(model, settings.limits)
         start = np.array(model.rest_commands if settings.start_command is None else settings.start_command)
         low, high = (np.array([getattr(each, end) for each in model.command_limits]) for end in ("lower", "upper"))
         if start.shape != low.shape or not np.all((low <= start) & (start <= high)):
@@ -421,8 +421,12 @@ class TwoAxisTipController:
             self._memory = replace(snapshot, control=control, command=command, halted=present.halted)
 
 
-def _limited(model: TwoAxisModel, settings: TwoAxisLimitsSettings | None) -> TwoAxisModel:
-    """Model with the limits of the settings."""
+def within_limits(model: TwoAxisModel, settings: TwoAxisLimitsSettings | None) -> TwoAxisModel:
+    """Model with the limits of the settings, or its own where left out.
+
+    Raises:
+        ControllerError: if counts differ, limits are wider than those of the model, or a rest is beyond them.
+    """
     if settings is None:
         return model
     rows, count = (settings.lower, settings.upper, settings.rate_per_s), len(model.command_limits)

@@ -80,14 +80,23 @@ class CrossFriction(Settings):
             coupling=coupling,
         )  # fmt: skip
 
+    def at_rest(self, travels: Vec, dt_s: float) -> Vec:
+        """State (S,) at rest at travels (2,)."""
+        core, part = engine(), self.struct(dt_s)
+        state = np.empty(int(core.cross_states(part.address)))
+        core.cross_rest(part.address, np.ascontiguousarray(travels), state)
+        return state
+
+    def advance(self, state: Vec, travels: Vec, dt_s: float) -> tuple[Vec, Vec]:
+        """c (T, 2) [deg] along travels (T, 2) from a state (S,), and the state after them."""
+        part, after = self.struct(dt_s), state.copy()
+        w, c = np.ascontiguousarray(travels.T), np.empty((AXES, len(travels)))
+        engine().cross_run(part.address, len(travels), w, after, c)
+        return np.ascontiguousarray(c.T), after
+
     def run(self, travels: Vec, dt_s: float) -> Vec:
         """c (T, 2) [deg] along travels (T, 2) from a rest at the first."""
-        core, part = engine(), self.struct(dt_s)
-        w, c = np.ascontiguousarray(travels.T), np.empty((AXES, len(travels)))
-        state = np.empty(int(core.cross_states(part.address)))
-        core.cross_rest(part.address, np.ascontiguousarray(w[:, 0]), state)
-        core.cross_run(part.address, len(travels), w, state, c)
-        return np.ascontiguousarray(c.T)
+        return self.advance(self.at_rest(travels[0], dt_s), travels, dt_s)[0]
 
 
 class TwoAxisFile(Settings):

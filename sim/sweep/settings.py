@@ -17,6 +17,7 @@ from hystmpc.trials.config import Count, NotNegativeInt, Settings, load_settings
 from hystmpc.trials.errors import ConfigError, did_you_mean
 
 from ..config import SimulationConfig, load_simulation, located
+from ..two_axes.config import file_of_two_axes, says_two_axes
 
 _SEVERAL = {"anyOf": [{"type": "array", "minItems": 1}, {"type": "object", "minProperties": 1}]}
 _PART = re.compile(r'"([^"]+)"|([^."]+)')
@@ -138,8 +139,14 @@ def with_base(settings: SweepSettings, path: Path) -> SweepSettings:
 
 
 def study_of(base: str | dict[str, Any], path: Path) -> SimulationConfig:
-    """Return the study that another settings file names or contains."""
+    """Return the study that another settings file names or contains.
+
+    Raises:
+        ConfigError: if it has two axes, or a setting is wrong.
+    """
     folder = path.resolve().parent
+    if file_of_two_axes(folder / base) if isinstance(base, str) else says_two_axes(base, folder):
+        raise ConfigError(f"{path}: base: got a study of two axes, expected one axis for a sweep or a tuning")
     if isinstance(base, str):
         return load_simulation(folder / base)
 

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = ROOT / "docs" / "figures" / "ring.svg"
+STAR = SHIPPED.with_name("star.svg")
 LEGEND = re.compile(r">([\d.]+) deg</text><text[^>]*>(\d+) mm<")  # error and travel of each controller
 
 
@@ -73,7 +74,12 @@ def test_a_ring_lies_at_its_radius_from_its_axis() -> None:
 
 
 @pytest.mark.parametrize(
-    "picture", [pytest.param(small_picture, id="small"), pytest.param(SHIPPED.read_text, id="shipped")]
+    "picture",
+    [
+        pytest.param(small_picture, id="small"),
+        pytest.param(SHIPPED.read_text, id="shipped"),
+        pytest.param(STAR.read_text, id="star"),
+    ],
 )
 def test_every_animation_can_be_played(picture: Any) -> None:
     animations = elements(picture(), "animate")
@@ -123,3 +129,12 @@ def test_the_shipped_picture_is_of_this_package() -> None:
     for name, (rmse_deg, travel) in zip(script().SHOWN, shipped, strict=True):
         assert tracks[name].rmse_deg == pytest.approx(float(rmse_deg), rel=0.1)
         assert tracks[name].travel == pytest.approx(float(travel), rel=0.1)
+
+
+def test_the_star_stands_alone_and_has_a_still_form() -> None:
+    text = STAR.read_text(encoding="utf-8")
+    assert len(text) < 300_000
+    assert not re.search(r"<script|href|url\(|https?://(?!www\.w3\.org/2000/svg)", text)
+    (still,) = [group for _, group in elements(text, "g") if group.get("class") == "still"]
+    assert len([path for path in still.iter() if path.tag.endswith("path")]) == 6  # a star and a way of each controller
+    assert not [found for found in still.iter() if found.tag.endswith("animate")]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import cast
 
@@ -43,8 +44,9 @@ def test_fit_finds_two_axes_and_writes_their_model(logs: Path, tmp_path: Path) -
     assert made.identified.joint == "tendons"
     assert "joined by tendons" in made.report
     assert steps[0] == 0
-    assert made.unseen_deg is not None
-    assert np.all(made.unseen_deg < 1.0)
+    (_, seen_runs), (_, unseen_runs) = made.evaluations
+    assert len(seen_runs) == 2
+    assert all(axis.rmse_deg < 1.0 for axis in unseen_runs[0].axes)
     again = load_two_axes(tmp_path / "both.yaml")
     assert again.dt_s == pytest.approx(DT)
     np.testing.assert_allclose(again.matrix, [[1.0, 0.2], [-0.1, 1.0]], atol=0.03)
@@ -65,12 +67,40 @@ def test_trials_of_two_commands_are_taken_as_they_are() -> None:
         hystmpc.fit("pi", three)
 
 
-@pytest.mark.parametrize("given_", [{"inverse": True}, {"report": "page.html"}])
-def test_options_of_one_axis_are_refused_in_a_line(logs: Path, tmp_path: Path, given_: dict[str, object]) -> None:
-    options = {name: tmp_path / value if isinstance(value, str) else value for name, value in given_.items()}
+def test_options_of_one_axis_are_refused_in_a_line(logs: Path) -> None:
     with pytest.raises(FitError, match="logs of two axes") as refused:
-        hystmpc.fit("pi", logs, **options)  # type: ignore[arg-type]
+        hystmpc.fit("pi", logs, inverse=True)
     assert len(str(refused.value)) <= 300
+
+
+def test_fit_and_evaluate_write_pages_that_name_what_joins_the_axes(logs: Path, tmp_path: Path) -> None:
+    model, pages = tmp_path / "both.yaml", [tmp_path / f"{name}.html" for name in ("fit", "evaluate")]
+    made = cast(FitOfBothAxes, hystmpc.fit("pi", logs, model, report=pages[0], figures=tmp_path / "figures"))
+    runs = hystmpc.evaluate(model, logs, json=tmp_path / "errors.json", report=pages[1])
+    assert runs.mean == made.evaluations[0][1].mean == hystmpc.evaluate(made, list(made.trials)).mean
+    for page in pages:
+        text = page.read_text()
+        assert "What joins both axes" in text
+        assert "a command moves both axes" in text
+        assert "src=" not in text.replace('src="data:', "")
+    assert len(list((tmp_path / "figures").glob("*.svg"))) == 2
+    assert json.loads((tmp_path / "errors.json").read_text())["trials"][0]["tip"]["rmse_deg"] < 1.0
+
+
+def test_logs_and_models_of_one_axis_and_two_are_not_mixed(logs: Path, tmp_path: Path) -> None:
+    one = tmp_path / "one.csv"
+    trial = hystmpc.read_trials(next(iter(logs.iterdir())))[0]
+    hystmpc.write_csv(Trial(trial.t, trial.command, trial.angle), one)
+    both = two_axes().save(tmp_path / "both.yaml")
+    for call in (
+        lambda: hystmpc.evaluate(both, one),
+        lambda: hystmpc.evaluate("builtin:pi", logs),
+        lambda: hystmpc.fit("pi", logs, test=one),
+        lambda: hystmpc.fit("pi", one, test=logs),
+    ):
+        with pytest.raises(LogError, match=r"one axis|two axes") as refused:
+            call()
+        assert len(str(refused.value)) <= 300
 
 
 def test_a_kind_without_a_readable_form_is_refused_in_a_line(logs: Path) -> None:

@@ -9,10 +9,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hystmpc.trajectories.config import PLANE_MOTIONS
 from hystmpc.trajectories.motion import Kinematics, MotionLimits
-from hystmpc.trajectories.plane import PlaneMotion, circle, lissajous, raster, ring, spiral, star, through_points
+from hystmpc.trajectories.plane import (
+    PlaneMotion,
+    after_approach,
+    circle,
+    lissajous,
+    raster,
+    ring,
+    spiral,
+    star,
+    through_points,
+    through_tips,
+)
 from hystmpc.trajectories.ruckig_ import move_together
 from hystmpc.trials.errors import TrajectoryError
+from hystmpc.trials.tip import tip_from_angles
 
 LIMITS = MotionLimits(velocity_deg_s=30.0, acceleration_deg_s2=200.0, jerk_deg_s3=2000.0)
 MOTIONS = {
@@ -85,3 +98,65 @@ def test_motions_that_make_no_sense_are_refused_in_a_line(make: object) -> None:
     with pytest.raises(TrajectoryError) as refused:
         make()  # type: ignore[operator]
     assert len(str(refused.value)) <= 300
+
+
+@given(st.floats(1.0, 15.0), st.floats(30.0, 90.0))
+def test_a_motion_in_mm_is_followed_by_the_tip(radius_mm: float, length_mm: float) -> None:
+    wanted = circle((1.0, -2.0), radius_mm, 3.0)
+    motion, t = through_tips(wanted, length_mm), np.linspace(-1.0, 5.0, 40)
+    np.testing.assert_allclose(tip_from_angles(motion(t), length_mm)[:, :2], wanted(t), atol=1e-6)
+    assert motion.duration_s == wanted.duration_s
+
+
+@pytest.mark.parametrize(("radius_mm", "length_mm"), [(30.0, 40.0), (5.0, 0.0), (5.0, float("nan"))])
+def test_a_motion_out_of_reach_is_refused_in_a_line(radius_mm: float, length_mm: float) -> None:
+    with pytest.raises(TrajectoryError, match="expected") as refused:
+        through_tips(circle((0.0, 0.0), radius_mm, 3.0), length_mm)
+    assert len(str(refused.value)) <= 300
+
+
+@given(st.floats(-30, 30), st.floats(-30, 30))
+def test_an_approach_leads_from_the_rest_to_the_start_in_whole_samples(x: float, y: float) -> None:
+    motion = star((0.0, 0.0), 10.0)
+    led = after_approach(motion, (x, y), 0.04)
+    lead_s = led.duration_s - motion.duration_s
+    assert lead_s / 0.04 == pytest.approx(round(lead_s / 0.04))
+    np.testing.assert_allclose(led(0.0), [x, y])
+    np.testing.assert_allclose(led(lead_s - 1e-6), motion(0.0), atol=1e-6)
+    t = np.linspace(0.0, motion.duration_s, 50)
+    np.testing.assert_allclose(led(lead_s + t), motion(t), atol=1e-9)
+
+
+PLANE = {
+    "circle": {"centre": [0, 1], "radius": 9, "period_s": 3},
+    "spiral": {"centre": [0, 1], "radius": 9, "period_s": 3},
+    "lissajous": {"centre": [0, 1], "sizes": [5, 8], "period_s": 6},
+    "points": {"points": [[0, 0], [5, 5], [-3, 2]]},
+    "star": {"centre": [0, 1], "radius": 9},
+    "ring": {"centre": [0, 1], "radius": 9, "targets": 4},
+    "raster": {"corner": [-5, -5], "far_corner": [5, 5]},
+}
+
+
+@pytest.mark.parametrize("kind", PLANE_MOTIONS)
+def test_every_kind_of_a_settings_file_is_drawn_in_deg_and_in_mm(kind: str) -> None:
+    settings = PLANE_MOTIONS[kind].parse({"kind": kind, **PLANE[kind]})
+    motion, tips = settings.build(), PLANE_MOTIONS[kind].parse({"kind": kind, **PLANE[kind], "length_mm": 50}).build()
+    t = np.linspace(0.0, motion.duration_s, 30)
+    assert motion(t).shape == (30, 2)
+    np.testing.assert_allclose(tip_from_angles(tips(tips.duration_s), 50.0)[:2], motion(motion.duration_s), atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["points", "star", "ring", "raster"])
+def test_limits_are_of_the_angles_in_mm_too(kind: str) -> None:
+    """A nearly straight device: the way of its tip is half its length for a rad, so both motions take the same time."""
+    length_mm, share = 60.0, math.radians(30.0)
+    small = {
+        key: np.multiply(v, 0.05).tolist() if key not in ("targets", "tips") else v for key, v in PLANE[kind].items()
+    }
+    tips = {key: np.multiply(v, share).tolist() if key not in ("targets", "tips") else v for key, v in small.items()}
+    angles = PLANE_MOTIONS[kind].parse({"kind": kind, **small}).build()
+    motion = PLANE_MOTIONS[kind].parse({"kind": kind, **tips, "length_mm": length_mm}).build()
+    assert motion.duration_s == pytest.approx(angles.duration_s)
+    t = np.linspace(0.0, angles.duration_s, 50)
+    np.testing.assert_allclose(motion(t), angles(t), atol=1e-4)

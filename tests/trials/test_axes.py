@@ -80,3 +80,16 @@ def test_what_takes_one_axis_refuses_a_log_of_two_in_one_line(tmp_path: Path) ->
         with pytest.raises(LogError, match="a log of two axes, expected one") as refused:
             call()
         assert len(str(refused.value)) <= 300 + len(str(log))
+
+
+@pytest.mark.parametrize("still", [1, 2])
+def test_a_log_in_which_one_axis_moves_alone_is_sound(tmp_path: Path, still: int) -> None:
+    t = 0.04 * np.arange(400)
+    rows = np.column_stack([t, np.sin(t), np.sin(t), 20 * np.sin(t), 20 * np.sin(t)])
+    rows[:, still], rows[:, still + 2] = 0.3, 0.2 * np.sin(t)
+    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header=HEADER, comments="")
+    report = check(tmp_path / "log.csv")
+    assert not [f for f in report.findings if f.severity in (Severity.ERROR, Severity.WARNING)]
+    rows[:, 1:3] = 0.3
+    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header=HEADER, comments="")
+    assert check(tmp_path / "log.csv").worst is Severity.ERROR

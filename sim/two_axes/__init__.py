@@ -1,0 +1,1 @@
+"""Closed loops of devices that bend in two planes: settings, plant, study, report."""
