@@ -225,7 +225,7 @@ HYSTMPC_LOCAL void hystmpc_propose_plan(const hystmpc_problem *p, hystmpc_head *
     const int of_noise = resting && g->sigma > R(0.0);
     const real rate_weight = by_closeness(p->law->rate_weight, p->law->close_rate_weight, of_noise ? R(0.0) : g->close);
     const hystmpc_task task = {wanted, q.plans + HYSTMPC_INVERTED * h, g->u_last, rate_weight,
-                               p->law->angle_low - g->disturbance, p->law->angle_high - g->disturbance, NULL};
+                               p->law->angle_low - g->disturbance, p->law->angle_high - g->disturbance, NULL, NULL};
     if (predict_candidates(&q, 0, first)) {
         refuse_plan(out, HYSTMPC_FAILED, 0);
         return;
@@ -256,7 +256,8 @@ HYSTMPC_LOCAL int hystmpc_plan_ahead(const hystmpc_problem *p, const real *x, co
     begin_planning(&q, p, x, room_begin(room));
     const int count = build_candidates(&q, wanted, u_last, remaining, left, 0);
     if (count < 0 || predict_candidates(&q, 0, count)) return HYSTMPC_NO_ANSWER;
-    const hystmpc_task task = {wanted, q.plans + HYSTMPC_INVERTED * h, u_last, p->law->rate_weight, -INFINITE, INFINITE, NULL};
+    const real *const inverted = q.plans + HYSTMPC_INVERTED * h;
+    const hystmpc_task task = {wanted, inverted, u_last, p->law->rate_weight, -INFINITE, INFINITE, NULL, NULL};
     take_cheapest(&q, &task, 0, count, best);
     if (!is_finite(best->cost)) return HYSTMPC_NO_PREDICTION;
     int within = 1;

@@ -245,8 +245,11 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
 
 def _dependences(findings: Findings) -> tuple[InputDependence, ...]:
     """Dependence of the differences between trials on a measured input, in units of the log."""
-    found, decades = dependences_of(findings.conclusion.chosen, findings.prepared.everything), findings.prepared.decades
-    return tuple(replace(one, slope=decades.log_value(one.slope, UNITS[one.parameter])) for one in found)
+    prepared = findings.prepared
+    return tuple(
+        replace(one, slope=prepared.decades.log_value(one.slope, UNITS[one.parameter]))
+        for one in dependences_of(findings.conclusion.chosen, prepared.everything)
+    )
 
 
 def _explainable_share(findings: Findings) -> float | None:
