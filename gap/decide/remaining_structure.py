@@ -13,7 +13,7 @@ from hystmpc.models.identify.selection import Selection
 from hystmpc.trials.types import Mat, Vec
 
 from ..logs.sensor import SensorSigns
-from .trial_differences import follows_trials
+from .trial_differences import differences_explained
 from .verdict import STILL_OPEN
 
 _KNOTS = 10  # of a curve, in each direction
@@ -36,7 +36,7 @@ def structure_left(selection: Selection, runs: Sequence[Run], everything: Sequen
     """
     chosen, retuned = selection.chosen.hypothesis, selection.baseline.hypothesis
     widths = chosen.problem.terms.shift and chosen.problem.terms.width >= 0
-    if widths and not follows_trials(chosen, everything):
+    if widths and not differences_explained(chosen, everything):
         return True
     if chosen.effects == {"nonlinear_gain"}:
         before = retuned.mse - floor_mse

@@ -149,7 +149,7 @@ def _shifts(hypothesis: Hypothesis, runs: Sequence[Run]) -> _Shifts:
     )
 
 
-def follows_trials(hypothesis: Hypothesis, runs: Sequence[Run]) -> bool:
+def differences_explained(hypothesis: Hypothesis, runs: Sequence[Run]) -> bool:
     """Whether what differs between trials has a cause: groups of trials, or a measured input."""
     return configuration_of(hypothesis, runs) is not None or bool(dependences_of(hypothesis, runs))
 
