@@ -314,7 +314,7 @@ def tip_figure(results: Sequence[Result], look: Mapping[str, Mapping[str, Any]])
         run, style = result.run, {"color": look[result.controller]["color"], "linewidth": 1.0}
         wanted, tip = run.log.reference_deg[run.first :].T, run.true_deg[run.first :].T
         title = f"{result.controller}: {result.metrics.rmse_deg:.3g} deg"
-        panels.append(LoopPanel(title, [(*wanted, REFERENCE_LOOK), (*tip, {**style, "label": "tip"})]))
+        panels.append(LoopPanel(title, [(*wanted, REFERENCE_LOOK), (*tip, style)]))
     return loop_figure(panels, "deg", "deg", ("angle x [deg]", "angle y [deg]"))
 
 
