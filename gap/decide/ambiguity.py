@@ -120,16 +120,7 @@ def inclusion_shares(selection: Selection, floor_mse: float, faults_mse: float, 
     blocks, counts = selection.baseline.energy.size, Counter[str]()
     for _ in range(_DRAWS):
         at = rng.integers(0, blocks, blocks)
-        drawn = {
-            names: replace(
-                judged,
-                energy=judged.energy[at],
-                samples=judged.samples[at],
-                run=judged.run[at],
-                parts=judged.parts and judged.parts.at(at),
-            )
-            for names, judged in tried.items()
-        }
+        drawn = {names: judged.at(at) for names, judged in tried.items()}
         counts.update(reselect(drawn, SelectionSettings(), floor_mse, faults_mse).chosen.hypothesis.effects)
     effects = {name for names in tried for name in names}
     return {name: counts[name] / _DRAWS for name in sorted(effects)}

@@ -202,11 +202,4 @@ def _blocks_on_runs(run: Index, runs: Sequence[int], seed: int | None) -> Index:
 
 def _errors_on_runs(judged: HeldOutErrors, runs: Sequence[int], at: Index) -> HeldOutErrors:
     """Errors on some runs, in some of their blocks."""
-    return replace(
-        judged,
-        energy=judged.energy[at],
-        samples=judged.samples[at],
-        run=judged.run[at],
-        errors=tuple(judged.errors[k] for k in runs),
-        parts=judged.parts and judged.parts.at(at),
-    )
+    return replace(judged.at(at), errors=tuple(judged.errors[k] for k in runs))

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from hystmpc.trials.types import Mat, Vec
+from hystmpc.trials.types import Index, Mat, Vec
 
 from ..chain import Chain
 from ..effects.effect import CORE, Candidate
@@ -192,6 +192,16 @@ class HeldOutErrors(Blocks):
     errors: tuple[Vec, ...]
     fold_q: tuple[Vec, ...]
     parts: InParts | None = None
+
+    def at(self, blocks: Index) -> HeldOutErrors:
+        """Errors in some blocks, as a resample draws them; those of each run stay whole."""
+        return replace(
+            self,
+            energy=self.energy[blocks],
+            samples=self.samples[blocks],
+            run=self.run[blocks],
+            parts=self.parts and self.parts.at(blocks),
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -56,9 +56,12 @@ def _friction_sentence(model: TwoAxisModel) -> str:
     if shared is None:
         return "No friction that both axes share was needed."
     x, y = (2 * np.abs(shared.weights) @ np.array(shared.radii)).tolist()
+    coupled = (
+        "" if shared.coupling is None else " Static coupling comes on top: a bend along one axis changes the other."
+    )
     return (
         "Both axes share a friction: a motion along one of them frees the other one. "
-        f"It changes x by at most {x:.3g} deg and y by at most {y:.3g} deg."
+        f"This friction changes x by at most {x:.3g} deg and y by at most {y:.3g} deg.{coupled}"
     )
 
 
