@@ -149,7 +149,9 @@ def hystmpc(
     """Identify actuators with hysteresis, control them, and diagnose where a simulator and its device differ."""
     del show_version  # its callback has been called
     from .bars import SCREEN
+    from .entry import imported
 
+    imported()
     context.call_on_close(SCREEN.stop)
 
 

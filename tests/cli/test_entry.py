@@ -33,6 +33,32 @@ def test_ctrl_c_during_the_start_is_quiet(after_s: float) -> None:
     assert "Traceback" not in said
 
 
+HIDES_CTRL_C = """
+import sys, time
+from hystmpc.cli.entry import main
+class Extension:
+    def find_spec(self, name, *_):
+        if name == "hystmpc.cli.reference":
+            print("on", flush=True)
+            try:
+                time.sleep(60)
+            except KeyboardInterrupt:
+                raise ImportError("the extension failed to import") from None
+sys.meta_path.insert(0, Extension())
+sys.argv[1:] = ["effects"]
+main()
+"""
+
+
+def test_ctrl_c_is_no_error_of_a_module_that_was_being_imported() -> None:
+    program = subprocess.Popen([sys.executable, "-c", HIDES_CTRL_C], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert program.stdout is not None
+    assert program.stdout.readline() == b"on\n"
+    program.send_signal(signal.SIGINT)
+    _, said = program.communicate(timeout=60)
+    assert (program.returncode, said) == (130, b"")
+
+
 HEAVY = ("casadi", "matplotlib", "scipy", "pydantic", "onnx", "onnxruntime", "torch")
 
 
