@@ -30,7 +30,7 @@ from .logs.detectable import smallest_detectable
 from .logs.preparation import PreparedTrials, prepare
 from .logs.simulated import as_simulated
 from .logs.trial_choice import NEEDS_ORDER
-from .next.open_hypotheses import next_step, unseparated
+from .next.open_hypotheses import next_step, unseparated, within_one_sample
 from .residual import Localisation, explainable_share, localise
 
 if TYPE_CHECKING:
@@ -191,7 +191,7 @@ def _localisation(prepared: PreparedTrials, seed: int) -> Localisation | None:
 
 
 def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagnosis:
-    from .report.words import dependence_note, reason_for
+    from .report.words import dependence_note, one_sample_note, reason_for
 
     prepared, attribution, conclusion = findings.prepared, findings.attribution, findings.conclusion
     decision, jumps, hypothesis = conclusion.decision, attribution.jumps, attribution.retuned
@@ -227,6 +227,7 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
             *checked.notes,
             *([decades.log_sizes(jumps).note(units.angle)] if jumps else []),
             *([dependence_note(follows, units.angle)] if follows else []),
+            *([one_sample_note(late, prepared.checked.dt)] if (late := within_one_sample(findings)) else []),
         ),
         order=prepared.order,
         untestable=_untestable(findings),

@@ -94,7 +94,7 @@ def attribute(
     library = usable_effects(prepared, prepared.baseline.effects, left_out, prepared.development)
     if jumps.absent:  # friction in the core can be greater at rest without a jump
         library = tuple(c for c in library if c.effect != "stick_slip" or not c.operators)
-    without = (*left_out, "trial_shift") if _within_a_step(prepared, retuned) else tuple(left_out)
+    without = (*left_out, "trial_shift") if jumping or _within_a_step(prepared, retuned) else tuple(left_out)
     if prepared.checked.unrelated:  # nothing to explain: only the baseline is evaluated
         library, without = (), (*left_out, *OF_SINGLE_TRIALS)
     form_share = 1 - noise_mse / floor_mse if prepared.form_mse and floor_mse else 0.0
@@ -210,7 +210,7 @@ def _confirmed_causes(
         floor, jumps = floor_of(prepared, chosen), attribution.jumps if facts.jumps else None
         fitted = attribution.validation, attribution.retuned, chosen
         closed = FinalErrors(prepared, *fitted, floor, facts.sensor, seed, jumps).closed()
-        weakest = closed.unproven({names[0] for names in facts.ambiguity})
+        weakest = closed.unproven({names[0] for names in facts.ambiguity}) or "".join(chosen.effects & facts.form_like)
         if not weakest:
             return replace(facts, jumps="stick_slip" in closed.causes and facts.jumps), chosen, floor, closed
         facts, chosen = _without_cause(attribution, facts, chosen, weakest)

@@ -132,7 +132,8 @@ class _ResampledVerdict:
 
     def _confirmed_causes(self, facts: VerdictFacts, final: Mapping[Names, Blocks]) -> Names:
         """Causes that significantly lower the error of the final runs."""
-        names, replaceable = facts.effects, {names[0] for names in facts.ambiguity}
+        names, replaceable = facts.effects - facts.form_like, {names[0] for names in facts.ambiguity}
+        names = names if names in final else facts.effects
         while names:
             shares = self._shares(names, final)
             together = shares.interval(final[frozenset()], final[names])

@@ -57,7 +57,7 @@ _FRICTION = 0.6
 # Width of the loop with the effects, over the given one, from which an increased friction may cause the effects
 # themselves, such as slack of a tendon that only pulls.
 WIDTH_GROWN = 1.35
-_ANEW = 0.9  # share of the structural error that a core identified anew has to explain for effects to be that
+_ANEW = 0.75  # share of the structural error that a core identified anew has to explain for effects to be that
 _UNREPEATABLE = 0.5  # share of the retuned error in which repeats of one motion differ, from which it is no form error
 
 
@@ -129,6 +129,16 @@ class VerdictFacts:
     def closed(self) -> float:
         """Share of the structural error of the development trials closed by the selected effects."""
         return (self.retuned_mse - self.chosen_mse) / max(self.retuned_mse - self.floor_mse, 1e-12)
+
+    @property
+    def form_like(self) -> frozenset[str]:
+        """Effect beside others that an asymmetry and a third effect would replace as well; empty if there is none.
+
+        Three shapes of a loop that explain an error equally well are its form: no cause is all of them.
+        """
+        several = len(self.effects) > 1
+        sets = [names for names in self.ambiguity if several and len(names) > 2 and "asymmetry" in names]
+        return frozenset(sets[0][:1]) if sets else frozenset()
 
     def closed_everywhere(self, final_mse: tuple[float, float], part: float) -> float:
         """Share of the structural error of all trials closed by the selected effects, held out.

@@ -294,8 +294,9 @@ def search_motion(
         option = evaluate_motion(hypotheses, motion, noise)
         if option is None or not settings.allowed(option):
             return -1.0, None
-        short = max(settings.least_s / motion.duration_s, 1.0)
-        return _rate(option, count, settings) / short**2, option
+        if motion.duration_s < settings.least_s:
+            return motion.duration_s / settings.least_s - 1.0, None
+        return _rate(option, count, settings), option
 
     def cost(x: Vec) -> float:
         value, option = value_of(family.motion(x, "designed"))

@@ -20,6 +20,7 @@ RATE_SHARE = 0.9  # of the rate limit, for every motion
 _NYQUIST_SHARE = 0.4  # a sine is sampled five times a period at least
 _SINE_RATE_SHARE = 0.8  # leaves room for the rise and fall of a burst
 _EDGE_S = 1.0
+_LEAST_RAMP = 2  # samples of a ramp that turns at once
 
 
 @dataclass(frozen=True)
@@ -37,9 +38,10 @@ class RampAndHold:
     speed: float = 0.5
     stroke_s: float = 0.0
 
-    def way_s(self, start: float, reach: float, rate: float) -> float:
-        """Duration of the ramp from a start, a share of the reach [s]."""
-        return abs(self.target - start) * max(reach / (self.speed * rate), self.stroke_s)
+    def way_s(self, start: float, reach: float, rate: float, least_s: float) -> float:
+        """Duration of the ramp from a start, a share of the reach [s]; without a hold at least `least_s`."""
+        way = abs(self.target - start) * max(reach / (self.speed * rate), self.stroke_s)
+        return way if self.hold_s else max(way, least_s)
 
 
 @dataclass(frozen=True)
@@ -160,6 +162,16 @@ TEMPLATES = (
         ),
     ),
     MotionTemplate(
+        "fast_zigzags",
+        "zigzags at full speed, ever smaller: a lag damps them, a delay moves them, rate dependence turns late",
+        tuple(
+            RampAndHold(target, 0.0, 1.0)
+            for low, high in ((0.2, 0.8), (0.3, 0.6), (0.4, 0.55), (0.45, 0.5))
+            for target in (low, *(high, low) * 6)
+        )
+        + (RampAndHold(0.0, 2.0),),
+    ),
+    MotionTemplate(
         "again_and_again",
         "one slow stroke for four minutes: a drift goes on, a shift between trials does not, creep comes to rest",
         _strokes((0.9,) * 12, 2.0, 1.0, 8.0),
@@ -177,11 +189,12 @@ def menu(limits: CommandLimits, dt: float) -> tuple[SampledMotion, ...]:
 
 
 def _motion(template: MotionTemplate, limits: CommandLimits, dt: float) -> SampledMotion:
-    rate, reach = RATE_SHARE * limits.rate, _reach(template, limits)
+    rate, least_s = RATE_SHARE * limits.rate, _LEAST_RAMP * dt
+    reach = _reach(template, limits, least_s)
     pieces, at, start = [(np.array([0.0, REST_S]), np.zeros(2))], 0.0, REST_S
     for part in template.parts:
         if isinstance(part, RampAndHold):
-            way = part.way_s(at, reach, rate)
+            way = part.way_s(at, reach, rate, least_s)
             piece = np.array([0.0, way, way + part.hold_s]), reach * np.array([at, part.target, part.target])
             at = part.target
         else:
@@ -194,20 +207,21 @@ def _motion(template: MotionTemplate, limits: CommandLimits, dt: float) -> Sampl
     return SampledMotion(template.name, template.purpose, t, np.clip(command, limits.lower, limits.upper))
 
 
-def _reach(template: MotionTemplate, limits: CommandLimits) -> float:
+def _reach(template: MotionTemplate, limits: CommandLimits, least_s: float) -> float:
     """Greatest command above the lowest at which the motion stays within its longest duration."""
     rate, whole = RATE_SHARE * limits.rate, limits.upper - limits.lower
-    if _duration_s(template, whole, rate) <= template.longest_s:
-        return whole
-    solution = root_scalar(lambda reach: _duration_s(template, reach, rate) - template.longest_s, bracket=(0.0, whole))
-    return float(solution.root)
+
+    def excess_s(reach: float) -> float:
+        return _duration_s(template, reach, rate, least_s) - template.longest_s
+
+    return whole if excess_s(whole) <= 0 else float(root_scalar(excess_s, bracket=(0.0, whole)).root)
 
 
-def _duration_s(template: MotionTemplate, reach: float, rate: float) -> float:
+def _duration_s(template: MotionTemplate, reach: float, rate: float, least_s: float) -> float:
     at, seconds = 0.0, 2 * REST_S
     for part in template.parts:
         if isinstance(part, RampAndHold):
-            seconds, at = seconds + part.way_s(at, reach, rate) + part.hold_s, part.target
+            seconds, at = seconds + part.way_s(at, reach, rate, least_s) + part.hold_s, part.target
         else:
             seconds += part.duration_s
     return seconds

@@ -16,6 +16,7 @@ from hystmpc.models.identify.cross_validation import Hypothesis
 from hystmpc.models.identify.free_run import StagedChain
 from hystmpc.models.identify.problem import Problem
 from hystmpc.models.identify.simulators import settled
+from hystmpc.models.identify.timing import TIMING
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.types import Vec
 
@@ -34,19 +35,39 @@ NOTHING = "nothing"
 """Name of the hypothesis without any missing effect."""
 
 _MOST = 4  # greatest number of hypotheses for an unexplained gap
+# A motion has to take so much of the doubt: (K p - 1) / (K - 1) of K hypotheses, 0 by chance and 1 if one is certain.
+_LEAST_HOPE = 1 / 3
 
 
 def next_step(findings: Findings) -> MotionProposal | None:
-    """Propose the next motion to record; None if no hypothesis is open.
+    """Propose the next motion to record; None if no hypothesis is open, or no motion of the menu would decide.
 
     It shall separate, in this order: all effects that these trials cannot distinguish; a named effect and others that
     these motions cannot distinguish from it (`unseparated`); for a gap without explanation, effects of different
-    families. If no angle follows its command, no motion is proposed.
+    families. If no angle follows its command, no motion is proposed; nor between a lag and a delay within one sample
+    (`within_one_sample`), or if the best motion takes less than a third of the doubt.
     """
     task = discrimination_task(findings, confirm=False)
-    if task is None:
+    if task is None or within_one_sample(findings):
         return None
-    return propose(task.hypotheses, menu(_limits(findings), findings.prepared.checked.dt), task.noise)
+    proposal = propose(task.hypotheses, menu(_limits(findings), findings.prepared.checked.dt), task.noise)
+    count = len(task.hypotheses)
+    return proposal if count * proposal.chosen.probability - 1 >= _LEAST_HOPE * (count - 1) else None
+
+
+def within_one_sample(findings: Findings) -> float:
+    """Time [s] of a lag or delay that these trials leave open, if it is less than one sample; otherwise 0.
+
+    A linear system that settles within one sample is at the samples no other than a shift between two of them: a lag
+    and a delay of that size give the same angles, whatever the motion.
+    """
+    chosen, pair = findings.conclusion.chosen.problem, {"lag", "delay"}
+    if not any(pair <= set(names) for names in findings.conclusion.decision.ambiguity):
+        return 0.0
+    values = zip(chosen.effects, chosen.effect_values(findings.conclusion.chosen.q), strict=True)
+    times = [v for c, some in values if c.effect in TIMING for name, v in some.items() if name.endswith("_s")]
+    late = max(times, default=0.0)
+    return late if late < findings.prepared.checked.dt else 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,6 +28,7 @@ _POOR, _GOOD, _SMALLER, _LARGER = 0.25, 0.75, 0.25, 2.0
 _AT_REACH = 0.95
 _LIMITED = 0.1  # of the tolerance, at which a search ends whose step the box has limited: it would go farther
 _LEAST_STEP = 1e-6  # in units: a search ends where a step below it is refused
+_REFUSED = 2  # steps in a row, after which an unknown is not taken for linear
 _CHANGES = 10  # of the active set, for each unknown
 _THREADS = 2
 
@@ -88,7 +89,8 @@ def minimise_in_boxes(
         d = argmin |J d + r|^2   s.t.   lower <= q + d <= upper,   |d_i| <= reach units_i
 
     The engine's active-set method finds the exact optimum of every step: one step solves a linear problem, whatever
-    bounds it touches, and rounding errors stay rounding errors.
+    bounds it touches, and rounding errors stay rounding errors. The box bounds linear unknowns too once two steps in a
+    row were refused: r may be linear in them only as long as the state before the first sample stays within its bounds.
 
     Args:
         products: of the columns of (J, r) at unknowns q (Q + 1, Q + 1).
@@ -103,7 +105,7 @@ def minimise_in_boxes(
     wide = bounds[1] - bounds[0]
     margin = np.where(np.isfinite(wide), _MARGIN * wide, 0.0)
     lower, upper = bounds[0] + margin, bounds[1] - margin
-    q, reach = np.clip(start, lower, upper), _FIRST_REACH
+    q, reach, refused = np.clip(start, lower, upper), _FIRST_REACH, 0
     square = products(q)
     for _ in range(evaluations - 1):
         if not np.all(np.isfinite(square)):
@@ -116,6 +118,9 @@ def minimise_in_boxes(
         at = np.clip(q + step, lower, upper)
         there = products(at)
         fall = energy - float(there[-1, -1]) if np.all(np.isfinite(there)) else -np.inf
+        refused = 0 if fall > 0.0 else refused + 1
+        if refused == _REFUSED:
+            units = np.where(np.isinf(units), np.maximum(np.abs(step), 1.0) / reach, units)
         used, before = float(np.max(np.abs(step) / units)), reach
         if fall < _POOR * expected:
             reach = _SMALLER * (used or reach)
@@ -126,7 +131,7 @@ def minimise_in_boxes(
             ends = tolerance * energy if used < _AT_REACH * before else _LIMITED * tolerance * energy
             if _POOR * expected < fall < ends:
                 return q
-        elif used < _LEAST_STEP:
+        elif used < _LEAST_STEP and np.all(np.isfinite(units)):
             return q
     return q
 

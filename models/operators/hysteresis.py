@@ -305,13 +305,12 @@ class CurvedPlays(Operator):
         return ca.vertcat(*z, *([u] if self.turn or self.rate else []), *falling), self._angle([u, *z], p)
 
     def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
-        # All plays at one share of their half-widths, linear in y; the mean slope of each curve stands for the curve.
-        radii, knots = self._radii(p), self.pieces + 1
-        means = [sum(p[i * knots + k] for k in range(knots)) / knots for i in range(1, self.plays + 1)]
-        ends = knots * (self.plays + 1) + 1 + self.plays
+        # All plays at one share of their half-widths, linear in y from the middle to each end: both ends are exact.
+        radii = self._radii(p)
+        middle, upper, lower = (self._angle([u, *(u + side * r for r in radii)], p) for side in (0.0, 1.0, -1.0))
+        ends = (self.pieces + 1) * (self.plays + 1) + 1 + self.plays
         little = 1e-9 * p[0] * (p[ends + 1] - p[ends])  # avoids a division by zero
-        half = sum(mean * r for mean, r in zip(means, radii, strict=True))
-        share = (y - self._angle([u] * (self.plays + 1), p)) / (half + little)
+        share = (y - middle) / (ca.if_else(y >= middle, upper - middle, middle - lower) + little)
         z = [u + share * r for r in radii]
         falling = [1.0] if self.rate else []  # a device at rest came down to its present angle
         return ca.vertcat(*z, *([u] if self.turn or self.rate else []), *falling)

@@ -33,7 +33,7 @@ OPEN = replace(EXPLAINED, chosen_mse=0.9)
 AMBIGUOUS = replace(EXPLAINED, ambiguity=(("lag", "delay"),))
 UNPROVEN = FinalFacts(closed_share=0.0, residual_ratio=1.0, unproven=True)
 GROWN = Retuning(2.0, 0.5, 0.6)
-ANEW = Retuning(2.0, reidentified_share=0.9)
+ANEW = Retuning(2.0, reidentified_share=0.75)
 WEAK = FinalFacts(closed_share=0.5, residual_ratio=3.0)
 
 
@@ -147,7 +147,7 @@ def test_what_closes_everywhere_is_between_what_closes_in_parts(left: float, fin
         (replace(AMBIGUOUS, retuning=ANEW, width_grown=1.5), "reshaped", "retuned"),
         (replace(NOTHING, retuning=ANEW, width_grown=1.5), "reshaped", "retuned"),
         (replace(EXPLAINED, retuning=ANEW, width_grown=1.3), "explained", "named"),
-        (replace(EXPLAINED, retuning=replace(ANEW, reidentified_share=0.89), width_grown=1.5), "explained", "named"),
+        (replace(EXPLAINED, retuning=replace(ANEW, reidentified_share=0.74), width_grown=1.5), "explained", "named"),
         (replace(EXPLAINED, retuning=ANEW, width_grown=1.5, jumps=True), "explained", "named"),
         # trials
         (replace(EXPLAINED, too_little=True), "too_little", "too_little"),

@@ -8,6 +8,7 @@ import pytest
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.identify.free_run import StagedChain
+from hystmpc.models.operators.hysteresis import CurvedPlays
 from hystmpc.models.operators.slow_changes import Creep, TrialShift
 from hystmpc.models.operators.static_curves import Contact, NonlinearGain
 from hystmpc.models.program import dense
@@ -95,7 +96,9 @@ def test_a_settled_chain_shows_what_was_seen_and_knows_its_derivative(chain: Cha
         assert np.all(near < 1e-3 * (1 + np.abs(slope[:, k]))), chain.labels[k]
 
 
+BENT = (19.96, 6.70, 0.002, 1.65, 4.16, 1.05, 2.53, 0.011, 0.03, 1.59, 5.23, 5.93)
 BEHIND = {
+    "bent plays": Chain(CurvedPlays(BENT, 12.9, (0.026, 0.147, 0.089, 0.529, 3.87), HELD + 1.2, HELD + 2.0, 1)),
     "curved": Chain(BACKLASH, after=(NonlinearGain(0.004, 0.0, 59.5),)),
     "stopped": Chain(BACKLASH, after=(Contact(30.0, 0.4),)),
     "shifted": Chain(RATE_PI, after=(TrialShift(-6.0, 1.1, 0.5),)),
@@ -104,7 +107,7 @@ BEHIND = {
 
 
 @pytest.mark.parametrize("chain", BEHIND.values(), ids=list(BEHIND))
-@pytest.mark.parametrize("share", [0.02, 0.5, 0.98])
+@pytest.mark.parametrize("share", [0.0005, 0.02, 0.5, 0.98, 0.9995])
 def test_any_angle_that_the_chain_can_hold_is_shown_wherever_the_core_stands(chain: Chain, share: float) -> None:
     """The angle seen, taken for the core's own, may lie beyond what the core can hold at that command."""
     staged = StagedChain(chain)

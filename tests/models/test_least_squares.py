@@ -98,3 +98,15 @@ def test_a_start_that_is_not_finite_is_returned() -> None:
     end = minimise_in_boxes(nowhere, np.zeros(1), (-np.ones(1), np.ones(1)), np.ones(1), 50, 1e-12)
     assert end[0] == 0.0
     assert len(nowhere.points) == 1
+
+
+def test_an_unknown_that_is_linear_only_near_the_start_is_still_improved() -> None:
+    """The error falls up to 0.1 and rises ten times as steeply behind it, where a linear step goes."""
+
+    kinked = Counted(
+        lambda q: np.array([1.0 - 5.0 * min(q[0], 0.1) + 50.0 * max(q[0] - 0.1, 0.0)]),
+        lambda q: np.array([[-5.0 if q[0] < 0.1 else 50.0]]),
+    )
+    ends = np.array([-9.0]), np.array([9.0])
+    end = minimise_in_boxes(kinked, np.zeros(1), ends, np.full(1, np.inf), 40, 1e-6)
+    assert end[0] == pytest.approx(0.1, abs=0.02)
