@@ -141,7 +141,8 @@ class Jumps:
             f"Stick-slip by its jumps: in {self.stuck:.0%} of {self.windows} windows of steady motion the tip stands "
             f"still, in {self.jumped:.0%} it jumps, by {self.height_deg:.2g} {unit}, at speeds up to "
             f"{self.fastest_deg_s:.2g} {unit}/s. When it lets go cannot be predicted in a free run: what it closes "
-            "is the energy of a sawtooth of that height."
+            "is the energy of a sawtooth of that height. Shifts between trials are not looked for, since every jump "
+            "leaves the tip elsewhere."
         )
 
     @property

@@ -37,6 +37,7 @@ NOTHING = "nothing"
 _MOST = 4  # greatest number of hypotheses for an unexplained gap
 # A motion has to take so much of the doubt: (K p - 1) / (K - 1) of K hypotheses, 0 by chance and 1 if one is certain.
 _LEAST_HOPE = 1 / 3
+_SETTLED = 0.6  # samples: a lag of second order and a delay up to this differ by less than 0.2 % of the command's range
 
 
 def next_step(findings: Findings) -> MotionProposal | None:
@@ -51,15 +52,19 @@ def next_step(findings: Findings) -> MotionProposal | None:
     if task is None or within_one_sample(findings):
         return None
     proposal = propose(task.hypotheses, menu(_limits(findings), findings.prepared.checked.dt), task.noise)
-    count = len(task.hypotheses)
-    return proposal if count * proposal.chosen.probability - 1 >= _LEAST_HOPE * (count - 1) else None
+    return proposal if decides(proposal.chosen.probability, len(task.hypotheses)) else None
+
+
+def decides(probability: float, count: int) -> bool:
+    """Whether naming the right one of `count` hypotheses with this probability takes a third of the doubt."""
+    return count * probability - 1 >= _LEAST_HOPE * (count - 1)
 
 
 def within_one_sample(findings: Findings) -> float:
-    """Time [s] of a lag or delay that these trials leave open, if it is less than one sample; otherwise 0.
+    """Time [s] of a lag or delay that these trials leave open, if no motion tells them apart; otherwise 0.
 
-    A linear system that settles within one sample is at the samples no other than a shift between two of them: a lag
-    and a delay of that size give the same angles, whatever the motion.
+    Behind a command that runs straight between samples both are late by the same time once the lag has settled. A lag
+    of second order with at most 0.6 samples has settled at the next sample, whatever the motion.
     """
     chosen, pair = findings.conclusion.chosen.problem, {"lag", "delay"}
     if not any(pair <= set(names) for names in findings.conclusion.decision.ambiguity):
@@ -67,7 +72,7 @@ def within_one_sample(findings: Findings) -> float:
     values = zip(chosen.effects, chosen.effect_values(findings.conclusion.chosen.q), strict=True)
     times = [v for c, some in values if c.effect in TIMING for name, v in some.items() if name.endswith("_s")]
     late = max(times, default=0.0)
-    return late if late < findings.prepared.checked.dt else 0.0
+    return late if late <= _SETTLED * findings.prepared.checked.dt else 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -100,8 +100,8 @@ def dependence_note(follows: Sequence[InputDependence], unit: str) -> str:
 def one_sample_note(late_s: float, dt_s: float) -> str:
     """Sentence on a lag or delay that is shorter than a sample."""
     return (
-        f"A lag and a delay of {late_s:.2g} s end within one sample ({dt_s:.2g} s) and give the same angles: no motion "
-        "at this rate tells them apart, and either corrects the simulator. Logs and a simulator at a higher rate may."
+        f"A lag and a delay of {late_s:.2g} s end within one sample ({dt_s:.2g} s) and give nearly the same angles: no "
+        "motion at this rate tells them apart, and either corrects the simulator. A higher rate may."
     )
 
 

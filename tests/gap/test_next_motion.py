@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import least_squares
 
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.gap.next.motion_design import (
@@ -23,11 +24,17 @@ from hystmpc.gap.next.motion_design import (
     write_motion,
 )
 from hystmpc.gap.next.motions import TEMPLATES, SampledMotion, menu
-from hystmpc.gap.next.open_hypotheses import open_explanations
+from hystmpc.gap.next.open_hypotheses import decides, open_explanations, within_one_sample
+from hystmpc.models.chain import Chain
+from hystmpc.models.identify.free_run import StagedChain
+from hystmpc.models.operators.dynamics import Delay, Servo
+from hystmpc.models.operators.hysteresis import Play
+from hystmpc.models.operators.operator import Operator
 from hystmpc.trajectories.trajectory import read_sampled
 from hystmpc.trials.csv_files import read_csv
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.recording import SEPARATION_COLUMN
+from hystmpc.trials.types import Vec
 
 from .contenders import CREEP, DELAY, LAG, baseline, creep, lag
 
@@ -250,3 +257,55 @@ def test_the_motion_asks_about_every_set_that_is_open() -> None:
         "slack": {"lag", "slack"},
         "trial_shift": {"lag"},
     }
+
+
+@pytest.mark.parametrize("count", [2, 3, 5])
+def test_a_motion_that_leaves_chance_as_it_was_does_not_decide_and_a_sure_one_does(count: int) -> None:
+    assert not decides(1 / count, count)
+    assert decides(1.0, count)
+    assert decides(0.5 * (1 + 1 / count), count)  # takes half of the doubt
+
+
+@pytest.mark.parametrize(
+    ("late_s", "ambiguity", "expected"),
+    [
+        (0.023, (("delay", "lag"),), 0.023),
+        (0.023, (("delay", "lag", "rate_dependence"),), 0.023),
+        (0.025, (("delay", "lag"),), 0.0),
+        (0.023, (("delay", "rate_dependence"),), 0.0),
+        (0.023, (), 0.0),
+    ],
+)
+def test_a_lag_and_a_delay_within_one_sample_are_the_same(
+    late_s: float, ambiguity: tuple[tuple[str, ...], ...], expected: float
+) -> None:
+    problem = SimpleNamespace(effects=[SimpleNamespace(effect="delay")], effect_values=lambda q: [{"delay_s": late_s}])
+    findings: Any = SimpleNamespace(
+        conclusion=SimpleNamespace(
+            chosen=SimpleNamespace(problem=problem, q=None), decision=SimpleNamespace(ambiguity=ambiguity)
+        ),
+        prepared=SimpleNamespace(checked=SimpleNamespace(dt=0.04)),
+    )
+    assert within_one_sample(findings) == expected
+
+
+@pytest.mark.parametrize(("samples", "same"), [(0.2, True), (0.6, True), (3.0, False)])
+def test_a_delay_up_to_six_tenths_of_a_sample_is_a_lag_of_second_order_in_any_motion(
+    samples: float, same: bool
+) -> None:
+    dt, late = 0.04, samples * 0.04
+
+    def angles(operator: Operator, command: Vec) -> Vec:
+        run = StagedChain(Chain(Play(0.1), (operator,)))
+        return run.simulate(command[:, None], dt, run.rest(command[:1], command[:1]))[0][:, 0]
+
+    worst = 0.0
+    for motion in menu(CommandLimits(0.0, 6.0, 40.0), dt):
+        delayed = angles(Delay.at_rate(late, dt), motion.command)
+        fit = least_squares(
+            lambda q: angles(Servo(q[0], q[1]), motion.command) - delayed,  # noqa: B023  # called at once
+            [late, 0.7],
+            bounds=([1e-4, 0.05], [1.0, 0.999]),
+        )
+        worst = max(worst, float(np.sqrt(np.mean(fit.fun**2))) / 6.0)
+    assert (worst < 0.002) == same

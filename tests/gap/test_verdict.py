@@ -240,3 +240,18 @@ def test_what_is_stable_and_closes_much_is_likelier_and_what_has_rivals_less(
     assert probability("trial_shift", share, ambiguous, stable) <= probability("lag", share, ambiguous, stable)
     assert probability("trial_shift", 1.0, ambiguous, 1.0) == probability("lag", 1.0, ambiguous, 1.0)
     assert probability(name, share, ambiguous, stable, untried=True) < 0.8
+
+
+@pytest.mark.parametrize(
+    ("effects", "ambiguity", "form"),
+    [
+        ({"lag", "contact"}, (("contact", "asymmetry", "nonlinear_gain"),), {"contact"}),
+        ({"contact"}, (("contact", "asymmetry", "nonlinear_gain"),), set()),  # alone it is the open question itself
+        ({"lag", "contact"}, (("contact", "asymmetry"),), set()),
+        ({"lag", "contact"}, (("contact", "nonlinear_gain", "slack"),), set()),
+    ],
+)
+def test_what_three_shapes_explain_equally_beside_another_effect_is_form(
+    effects: set[str], ambiguity: tuple[tuple[str, ...], ...], form: set[str]
+) -> None:
+    assert replace(EXPLAINED, effects=frozenset(effects), ambiguity=ambiguity).form_like == form
