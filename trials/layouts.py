@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
 from .config import Positive, Settings, load_settings
 from .errors import ConfigError, LogError, did_you_mean
@@ -383,6 +383,11 @@ class TipSignals(Settings):
 _TURNS = {"deg": 360.0, "rad": 2 * math.pi}
 
 
+def _angle_or_tip(schema: dict[str, Any]) -> None:
+    schema["required"] = [name for name in schema["required"] if name != "angle"]
+    schema["oneOf"] = [{"required": ["angle"]}, {"required": ["tip"]}]
+
+
 class LogMapping(Settings):
     """Mapping of the signals of a log to time, command, angle, channels and measured inputs.
 
@@ -397,6 +402,8 @@ class LogMapping(Settings):
         rate_hz: sampling rate [Hz] of a log without any time, or with a broken clock; then `time` is not looked at.
         base: the signal whose time stamps the trial gets.
     """
+
+    model_config = ConfigDict(json_schema_extra=_angle_or_tip)
 
     command: CommandSettings
     angle: AngleSettings
