@@ -75,3 +75,11 @@ def test_kinds_are_listed_and_a_wrong_one_is_answered() -> None:
     assert [kind for kind in FILES if kind not in listed] == []
     with pytest.raises(ConfigError, match="did you mean 'simulate'"):
         settings_of("simulat")
+
+
+ANGLE, TIP = {"angle": "bend"}, {"tip": {"bend": "bend", "plane": "plane"}}
+
+
+@pytest.mark.parametrize(("output", "valid"), [(ANGLE, True), (TIP, True), ({}, False), ({**ANGLE, **TIP}, False)])
+def test_a_mapping_names_an_angle_or_a_tip(output: dict[str, object], valid: bool) -> None:
+    assert checker("layout").is_valid({"command": {"signal": "u", "unit": "mm"}, **output}) == valid
