@@ -89,10 +89,7 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
         out.print(table("effects", ("effect", "probability", "closes", "90 % interval", "parameters"), rows))
     if (motion := diagnosis.next_motion) is not None:
         names = ", ".join(in_words(name) for name in motion.separates)
-        line(
-            f"next: record {motion.file} ({motion.duration_s:.0f} s) to tell apart {names}: "
-            f"{percent(motion.expected_probability)} expected"
-        )
+        line(f"next: record {motion.file} ({motion.duration_s:.0f} s) to tell apart {names}")
 
 
 def _self_test(seed: int) -> None:

@@ -232,7 +232,8 @@ class NextMotion:
     Attributes:
         file: name of the motion's file in the folder of the diagnosis.
         separates: effects that the motion shall distinguish.
-        expected_probability: probability that it names the right one of them.
+        expected_probability: probability that it names the right one of them, if the device follows one of their
+            equations exactly.
         duration_s: of the motion [s].
     """
 

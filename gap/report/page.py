@@ -223,7 +223,7 @@ def _next(data: ReportData) -> Iterator[Piece]:
         (in_words(option.motion.name), option.motion.duration_s, option.probability, option.motion.purpose)
         for option in sorted(proposal.options, key=lambda option: -option.probability)
     ]
-    yield Table(("motion", "duration [s]", "expected probability", "what it shows"), rows, "The whole menu.")
+    yield Table(("motion", "duration [s]", "probability, equations exact", "what it shows"), rows, "The whole menu.")
 
 
 def _numbers(data: ReportData) -> Iterator[Piece]:
