@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -41,7 +42,7 @@ _CLEAR = 2.0  # standard errors by which an effect lowers the held-out error
 _WORTH = 0.2  # of the structural error: what it lowers it by at least
 _T90 = 2.015  # 90 % interval of Student's distribution with five degrees of freedom
 _MOST = 0.8  # greatest size of a number
-_STEP = 1e-4
+_STEP, _MOST_STEPS = 1e-4, 40  # of the search of these numbers
 _BLOCK_S = 3.0
 _SPREAD = 0.1  # half of an interval due to differences between trials, as of one axis with too few trials
 _FEW_TRIALS = 3
@@ -122,7 +123,11 @@ class JoinTrials:
         names = [trial.source for trial, part in zip(trials, parts, strict=True) if part.any()]
         return cls(simulator, tuple(trials), np.concatenate(parts), tuple(names))
 
-    @property
+    @cached_property
+    def _axes(self) -> list[ChainModel]:
+        return [ChainModel(axis) for axis in self.simulator.axes]
+
+    @cached_property
     def parts(self) -> list[Index]:
         """Development samples of each part."""
         return [np.asarray(part) for part in np.array_split(np.flatnonzero(~self.final), _PARTS)]
@@ -142,7 +147,7 @@ class JoinTrials:
         left = []
         for trial, w in zip(self.trials, travels, strict=True):
             y = model.in_axes(trial.angles)
-            runs = [ChainModel(f).run(np.ascontiguousarray(w[:, i]), float(y[0, i])) for i, f in enumerate(model.axes)]
+            runs = [f.run(np.ascontiguousarray(w[:, i]), float(y[0, i])) for i, f in enumerate(self._axes)]
             shared = 0.0 if model.cross_friction is None else model.cross_friction.run(w, model.dt_s)
             left.append(y - np.stack(runs, axis=1) - shared)
         return travels, left
@@ -185,8 +190,12 @@ class JoinTrials:
         return before - after > _WORTH * max(before - floor_mse, 0.0)
 
     def _fit(self, names: frozenset[str], start: Joined) -> Joined:
+        """Effects fitted to all development samples, searched from others and from nothing: valleys may be apart."""
         if names not in self._begun:
-            self._begun[names] = self._fitted(names, ~self.final, start)
+            all_ = ~self.final
+            starts = [start, replace(start, q=np.zeros_like(start.q))] if np.any(start.q) else [start]
+            fits = [self._fitted(names, all_, one) for one in starts]
+            self._begun[names] = min(fits, key=lambda one: _mse(self.errors(one, all_)[all_]))
         return self._begun[names]
 
     def _fitted(self, names: frozenset[str], seen: Mask, start: Joined) -> Joined:
@@ -217,9 +226,9 @@ class JoinTrials:
             np.clip(start.q[free], -0.99 * _MOST, 0.99 * _MOST),
             bounds=(-_MOST, _MOST),
             diff_step=_STEP,
-            xtol=1e-4,
-            ftol=1e-5,
-            max_nfev=8,
+            xtol=1e-5,
+            ftol=1e-7,  # of linear axes only A M is known: the valley is long where they are nearly so
+            max_nfev=_MOST_STEPS,
         )
         return moved(answer.x)
 
@@ -275,11 +284,12 @@ def _chosen(
         if not good:
             break
         best = min(good, key=lambda one: float(one.squares.mean()))
-        (name,) = best.names - chosen.names
-        worse = {one: one.squares - best.squares for one in good if one is not best}
-        alike = [one for one, gap in worse.items() if gap.mean() <= _CLEAR * _error_of_mean(gap)]
-        rivals[name] = [next(iter(one.names - chosen.names)) for one in alike]
-        chosen = best
+        behind = {one: one.squares - best.squares for one in good}
+        alike = [one for one, more in behind.items() if more.mean() <= _CLEAR * _error_of_mean(more)]
+        kept = min(alike, key=lambda one: ("shared_friction" in one.names - chosen.names, float(one.squares.mean())))
+        (name,) = kept.names - chosen.names
+        rivals[name] = [next(iter(one.names - chosen.names)) for one in alike if one is not kept]
+        chosen = kept
     for name in sorted(chosen.names):
         fewer = data.tried(chosen.names - {name}, chosen.joined)
         if len(chosen.names) > 1 and not chosen.better_than(fewer, floor_mse):
