@@ -15,7 +15,8 @@ from hystmpc.trials.recording import recorded_trials
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress, parts
 
-from .inputs import Logs, Model, Say, allow_classes, as_list, chain_or_model, processes, warn_of_units
+from .diagnose_both import diagnose_both
+from .inputs import Logs, Model, Say, allow_classes, as_list, chain_or_model, of_two_axes, processes, warn_of_units
 from .outputs import check_figures
 
 if TYPE_CHECKING:
@@ -50,6 +51,9 @@ def diagnose(
 ) -> Diagnosis:
     """Diagnose the gap between a simulator and its device: its size, the effects that cause it, and their shares.
 
+    A model of two axes takes logs of two axes. What joins the axes is diagnosed, then each axis; the result is a
+    `TwoAxisDiagnosis`, see the guide on two axes.
+
     Args:
         trials: logs, data frames or trials of one device.
         simulator: a fit, simulator, opened model or file. Where the logs hold the output of a simulator of your own,
@@ -76,7 +80,7 @@ def diagnose(
     Raises:
         LogError: if a log cannot be used, or is a motion that a diagnosis has proposed.
         GapError: if the trials cannot be compared with the simulator, an effect is unknown, or a simulator's output is
-            missing, incomplete or of another command.
+            missing, incomplete or of another command; or for two axes, with an option that one axis alone has.
         ModelError: if the simulator cannot be opened or is an inverse map.
         ConfigError: if there is no simulator, `out` holds anything but an older diagnosis, or a folder cannot be
             written.
@@ -86,6 +90,14 @@ def diagnose(
     from hystmpc.models.load import model_path
 
     check_figures(figures)
+    if (both := of_two_axes(simulator)) is not None:
+        model = Path(simulator) if isinstance(simulator, Path | str) else None
+        options = {"seed": seed, "without": tuple(without), "only": None if only is None else tuple(only)}
+        options |= {"ordered": ordered, "skip_first_flexure": skip_first_flexure}
+        replays = {"--simulated": simulated, "--confirm": confirm}
+        return cast(
+            "Diagnosis", diagnose_both(trials, both, model, out, layout, figures, replays, options, progress, say)
+        )
     _require_free(out)
     user = _user_simulator(simulator, allow_python, by_hand=simulated or confirm)
     chain = None if simulator is None or user is not None else chain_or_model(cast("Model", simulator))

@@ -15,14 +15,14 @@ TWO_AXIS_FORMAT = "hystmpc-two-axis-diagnosis/1"
 
 UNITS: Mapping[str, Mapping[str, str]] = {
     "misalignment": {"turn_deg": "deg", "skew_deg": "deg"},
-    "cross_coupling": {"x_by_y": "deg/deg", "y_by_x": "deg/deg"},
+    "cross_coupling": {"x_by_y": "deg/deg", "y_by_x": "deg/deg", "turn_deg": "deg"},
     "shared_friction": {"x_deg": "deg", "y_deg": "deg"},
 }
 """Numbers of every effect between the axes, and their units.
 
 `turn_deg` is the mean turn of both tendons from where the simulator has them, `skew_deg` that of x less that of y.
-`x_by_y` is the share of the bend along y that angle x shows more than in the simulator. `x_deg` is the RMS change of x
-by friction and stiffness that both axes share.
+`x_by_y` is the share of the bend along y that angle x shows more than in the simulator; `turn_deg` of a cross-coupling
+is the turn that both shares have in common. `x_deg` is the RMS change of x by friction and stiffness that both share.
 """
 
 

@@ -10,7 +10,7 @@ weights k_i follow by least squares: what one axis alone can explain does not co
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -31,7 +31,7 @@ from ..logs.sensor import white_noise
 from ..logs.trial_choice import FINAL_SHARE, most_repeated, motion_features
 from .diagnosis import JoinEffect, JoinGap, KnownJoins
 
-FREE: dict[str, tuple[int, ...]] = {"misalignment": (0, 1), "cross_coupling": (2, 3), "shared_friction": ()}
+FREE: Mapping[str, tuple[int, ...]] = {"misalignment": (0, 1), "cross_coupling": (2, 3), "shared_friction": ()}
 """Numbers (a, b, p, q) that each effect has."""
 
 LEAST_S = 15.0
@@ -79,6 +79,14 @@ class Tried:
         gain = other.squares - self.squares
         least = max(_CLEAR * _error_of_mean(gain), _WORTH * max(float(other.squares.mean()) - floor_mse, 0.0))
         return float(gain.mean()) > least
+
+    def alike(self, best: Tried, floor_mse: float) -> bool:
+        """Whether the held-out error exceeds that of the best by no more than its doubt.
+
+        That is two standard errors, or what the best leaves itself: the form of the simulator errs by as much.
+        """
+        more = self.squares - best.squares
+        return float(more.mean()) <= max(_CLEAR * _error_of_mean(more), float(best.squares.mean()) - floor_mse)
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,19 +191,25 @@ class JoinTrials:
             self._kept[names] = Tried(names, joined, tuple(folds), squares)
         return self._kept[names]
 
-    def worth_trying(self, names: frozenset[str], chosen: Tried, floor_mse: float) -> bool:
-        """Whether the error of the fit itself falls by a good part; held-out errors fall by less."""
-        all_ = ~self.final
-        before, after = (_mse(self.errors(j, all_)[all_]) for j in (chosen.joined, self._fit(names, chosen.joined)))
-        return before - after > _WORTH * max(before - floor_mse, 0.0)
+    def worth_trying(self, more: Sequence[frozenset[str]], chosen: Tried, floor_mse: float) -> list[frozenset[str]]:
+        """Effects whose own fit lowers the error by a good part, and by about as much as the best; the quick choice.
+
+        Held-out errors fall by less than those of a fit.
+        """
+        before = self._of_fit(chosen.joined)
+        after = {names: self._of_fit(self._fit(names, chosen.joined)) for names in more}
+        least, part = min(after.values(), default=before), _WORTH * max(before - floor_mse, 0.0)
+        return [names for names, mse in after.items() if before - mse > part and mse - least <= part]
+
+    def _of_fit(self, joined: Joined) -> float:
+        """Mean square error of a fit on its own samples [deg^2]."""
+        return _mse(self.errors(joined, ~self.final)[~self.final])
 
     def _fit(self, names: frozenset[str], start: Joined) -> Joined:
         """Effects fitted to all development samples, searched from others and from nothing: valleys may be apart."""
         if names not in self._begun:
-            all_ = ~self.final
             starts = [start, replace(start, q=np.zeros_like(start.q))] if np.any(start.q) else [start]
-            fits = [self._fitted(names, all_, one) for one in starts]
-            self._begun[names] = min(fits, key=lambda one: _mse(self.errors(one, all_)[all_]))
+            self._begun[names] = min((self._fitted(names, ~self.final, one) for one in starts), key=self._of_fit)
         return self._begun[names]
 
     def _fitted(self, names: frozenset[str], seen: Mask, start: Joined) -> Joined:
@@ -243,7 +257,7 @@ class JoinTrials:
         return Blocks(np.bincount(number, size[self.final]), np.bincount(number).astype(np.float64), each[:, 0])
 
 
-def find_joins(data: JoinTrials, seed: int, without: Iterable[str] = ()) -> tuple[KnownJoins, TwoAxisModel]:
+def find_joins(data: JoinTrials, seed: int, names: Collection[str] = tuple(FREE)) -> tuple[KnownJoins, TwoAxisModel]:
     """Effects between the axes, and the simulator with them.
 
     One effect after another is added that lowers the held-out error by two of its standard errors and by a fifth of the
@@ -252,49 +266,60 @@ def find_joins(data: JoinTrials, seed: int, without: Iterable[str] = ()) -> tupl
 
     Args:
         seed: of the intervals.
-        without: effects that are not looked for.
+        names: effects that are looked for.
     """
     as_given = Joined(np.zeros(4), data.simulator.cross_friction)
     nothing = data.tried(frozenset(), as_given)
     floor_mse = _noise_mse(data, nothing)
-    offered = [name for name in FREE if name not in without]
-    if sum(trial.duration_s for trial in data.trials) < LEAST_S:
-        offered = []
-    chosen, rivals = _chosen(data, nothing, floor_mse, offered)
+    enough = sum(trial.duration_s for trial in data.trials) >= LEAST_S
+    offered = [name for name in FREE if name in names] if enough else []
+    chosen = _chosen(data, nothing, floor_mse, offered)
     while chosen.names:
         known = _measured(data, chosen, nothing, floor_mse, seed)
         unproven = [effect.name for effect in known.effects if effect.closed_ci90[0] <= 0]
         if not unproven:
-            sets = {tuple(sorted({name, *rivals.get(name, ())} - (chosen.names - {name}))) for name in chosen.names}
-            known = replace(known, ambiguity=tuple(sorted(names for names in sets if len(names) > 1)))
+            known = replace(known, ambiguity=_ambiguity(data, chosen, floor_mse, offered))
             return known, chosen.joined.model(data.simulator)
         chosen = data.tried(chosen.names - {unproven[0]}, as_given)
     return _measured(data, nothing, nothing, floor_mse, seed), data.simulator
 
 
-def _chosen(
-    data: JoinTrials, nothing: Tried, floor_mse: float, offered: Sequence[str]
-) -> tuple[Tried, dict[str, list[str]]]:
-    """Effects that count together, and by effect those that do about as well in its place."""
-    chosen, rivals = nothing, dict[str, list[str]]()
+def _chosen(data: JoinTrials, nothing: Tried, floor_mse: float, offered: Sequence[str]) -> Tried:
+    """Effects that count together."""
+    chosen = nothing
     while True:
         more = [chosen.names | {name} for name in offered if name not in chosen.names]
-        some = [names for names in more if data.worth_trying(names, chosen, floor_mse)]
-        good = [one for names in some if (one := data.tried(names, chosen.joined)).better_than(chosen, floor_mse)]
+        some = [data.tried(names, chosen.joined) for names in data.worth_trying(more, chosen, floor_mse)]
+        good = [one for one in some if one.better_than(chosen, floor_mse)]
         if not good:
             break
         best = min(good, key=lambda one: float(one.squares.mean()))
-        behind = {one: one.squares - best.squares for one in good}
-        alike = [one for one, more in behind.items() if more.mean() <= _CLEAR * _error_of_mean(more)]
-        kept = min(alike, key=lambda one: ("shared_friction" in one.names - chosen.names, float(one.squares.mean())))
-        (name,) = kept.names - chosen.names
-        rivals[name] = [next(iter(one.names - chosen.names)) for one in alike if one is not kept]
-        chosen = kept
+        alike = [one for one in good if one.alike(best, floor_mse)]
+        # Friction has many weights, and may stand for numbers that are not free yet.
+        chosen = min(alike, key=lambda one: ("shared_friction" in one.names - chosen.names, float(one.squares.mean())))
     for name in sorted(chosen.names):
         fewer = data.tried(chosen.names - {name}, chosen.joined)
         if len(chosen.names) > 1 and not chosen.better_than(fewer, floor_mse):
             chosen = fewer
-    return chosen, rivals
+    return chosen
+
+
+def _ambiguity(
+    data: JoinTrials, chosen: Tried, floor_mse: float, offered: Sequence[str]
+) -> tuple[tuple[str, ...], ...]:
+    """Sets of an effect and those that do as well in its place."""
+    sets = []
+    for name in sorted(chosen.names):
+        rest = chosen.names - {name}
+        swapped = {other: rest | {other} for other in offered if other not in chosen.names}
+        near = data.worth_trying(list(swapped.values()), data.tried(rest, chosen.joined), floor_mse)
+        rivals = [
+            other
+            for other, names in swapped.items()
+            if names in near and data.tried(names, chosen.joined).alike(chosen, floor_mse)
+        ]
+        sets += [(name, *rivals)] if rivals else []
+    return tuple(sets)
 
 
 def _measured(data: JoinTrials, chosen: Tried, nothing: Tried, floor_mse: float, seed: int) -> KnownJoins:
@@ -340,7 +365,7 @@ def _values(data: JoinTrials, joined: Joined, name: str) -> dict[str, float]:
     if name == "misalignment":
         return {"turn_deg": float(np.degrees(0.5 * (a + b))), "skew_deg": float(np.degrees(a - b))}
     if name == "cross_coupling":
-        return {"x_by_y": p, "y_by_x": q}
+        return {"x_by_y": p, "y_by_x": q, "turn_deg": float(np.degrees(np.arctan(0.5 * (q - p))))}
     changes = []
     for trial in data.trials:
         w = joined.model(data.simulator).travels(trial.commands)

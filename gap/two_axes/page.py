@@ -51,7 +51,8 @@ def _pieces(diagnosis: TwoAxisDiagnosis, corrected: TwoAxisModel, final: Sequenc
     what = "with all that is named" if diagnosis.named else "as given"
     runs = [evaluate_two_axes(corrected, trial) for trial in final]
     worst = max(runs, key=lambda run: run.errors.rmse_deg)
-    text = f"The final trial with the largest error, and the simulator {what}. Its RMSE is {worst.errors.rmse_deg:.3g} deg."
+    rmse = f"{worst.errors.rmse_deg:.3g} deg"
+    text = f"The final trial with the largest error, and the simulator {what}. The RMSE of the tip is {rmse}."
     yield Plot(free_run_figure([worst]), text, zoom=True)
     yield Folded(f"The simulator {what}", tuple(joint_pieces(corrected)))
 

@@ -7,7 +7,8 @@ from .diagnosis import JoinEffect, TwoAxisDiagnosis
 
 _ACTIONS = {
     "misalignment": "Turn the tendons back, or use `sim.fixed.yaml`, which has their directions.",
-    "cross_coupling": "Look for a sensor that is turned, or use `sim.fixed.yaml`, which has what each angle shows.",
+    "cross_coupling": "Look for a turned sensor, or for tendons that are turned behind their own friction. "
+    "`sim.fixed.yaml` has what each angle shows.",
     "shared_friction": "A motion along one axis frees or stiffens the other one: use `sim.fixed.yaml`, which has that.",
 }
 
@@ -45,7 +46,7 @@ def effect_sentence(effect: JoinEffect) -> str:
     if effect.name == "cross_coupling":
         return (
             f"Angle x shows {said['x_by_y']} deg more for each degree along y than in the simulator, "
-            f"and angle y {said['y_by_x']} deg for each along x."
+            f"and angle y {said['y_by_x']} deg for each along x. Both have a turn of {said['turn_deg']} deg in common."
         )
     return (
         "A motion along one axis frees or stiffens the other one, otherwise than in the simulator. "
