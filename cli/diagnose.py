@@ -58,7 +58,10 @@ def diagnose(
         sys.stdout.write(file_text(plain(diagnosis.as_json()), indent=2))
         return
     if isinstance(diagnosis, TwoAxisDiagnosis):
-        line(str(diagnosis))
+        from hystmpc.gap.two_axes.words import headlines
+
+        for text in headlines(diagnosis):
+            line(text)
     else:
         print_diagnosis(diagnosis)
     line(f"report: {call.out / 'report.html'}")

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.files import figures_to, require_writable
@@ -90,14 +90,14 @@ def diagnose(
     from hystmpc.models.load import model_path
 
     check_figures(figures)
+    chosen: dict[str, Any] = {"seed": seed, "without": tuple(without), "only": None if only is None else tuple(only)}
+    chosen |= {"ordered": ordered, "skip_first_flexure": skip_first_flexure}
+    file = Path(simulator) if isinstance(simulator, Path | str) else None
     if (both := of_two_axes(simulator)) is not None:
-        model = Path(simulator) if isinstance(simulator, Path | str) else None
-        options = {"seed": seed, "without": tuple(without), "only": None if only is None else tuple(only)}
-        options |= {"ordered": ordered, "skip_first_flexure": skip_first_flexure}
-        replays = {"--simulated": simulated, "--confirm": confirm}
-        return cast(
-            "Diagnosis", diagnose_both(trials, both, model, out, layout, figures, replays, options, progress, say)
-        )
+        with figures_to(figures):
+            one = {"--simulated": simulated, "--confirm": confirm}
+            of_both = diagnose_both(trials, both, out, layout, one, model=file, say=say, progress=progress, **chosen)
+        return cast("Diagnosis", of_both)
     _require_free(out)
     user = _user_simulator(simulator, allow_python, by_hand=simulated or confirm)
     chain = None if simulator is None or user is not None else chain_or_model(cast("Model", simulator))
@@ -117,21 +117,11 @@ def diagnose(
     from hystmpc.gap.diagnose import diagnose_trials  # scipy takes long to import: after all checks
 
     called = {"sim": simulator, "simulated": simulated, "confirm": confirm, "layout": layout}
+    texts = {key: None if value is None else str(value) for key, value in called.items()}
+    model = None if file is None or user is not None else Path(model_path(str(simulator)))
     with figures_to(figures):
         done = diagnose_trials(
-            recorded,
-            chain,
-            out=out,
-            called={key: None if value is None else str(value) for key, value in called.items()},
-            model=Path(model_path(str(simulator))) if user is None and isinstance(simulator, Path | str) else None,
-            seed=seed,
-            without=tuple(without),
-            only=None if only is None else tuple(only),
-            ordered=ordered,
-            skip_first_flexure=skip_first_flexure,
-            play=play,
-            progress=progress,
-            say=say,
+            recorded, chain, out=out, called=texts, model=model, play=play, progress=progress, say=say, **chosen
         )
     return done.diagnosis
 

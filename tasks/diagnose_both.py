@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hystmpc.trials.errors import GapError
-from hystmpc.trials.files import figures_to, require_writable
+from hystmpc.trials.files import require_writable
 from hystmpc.trials.read import AnyLayout
-from hystmpc.trials.types import Progress
 
 from .inputs import Logs, Say, as_list, both_axes_of
 
@@ -21,21 +20,20 @@ if TYPE_CHECKING:
 def diagnose_both(
     trials: Logs,
     simulator: TwoAxisModel,
-    model: Path | None,
     out: Path | str | None,
     layout: AnyLayout,
-    figures: Path | str | None,
     only_one: Mapping[str, object],
-    options: Mapping[str, Any],
-    progress: Progress | None,
+    *,
+    model: Path | None,
     say: Say | None,
+    **options: Any,
 ) -> TwoAxisDiagnosis:
     """Diagnose two axes with a simulator of both.
 
     Args:
-        model: file of the simulator, if it is one.
         only_one: options by name that one axis alone has.
-        options: of `diagnose_two_axes`, as seed and effects.
+        model: file of the simulator, if it is one.
+        options: further ones of `diagnose_two_axes`.
 
     Raises:
         GapError: if an option of one axis is given, or as `diagnose_two_axes`.
@@ -57,7 +55,4 @@ def diagnose_both(
     from hystmpc.gap.two_axes.diagnose import diagnose_two_axes  # scipy takes long to import: after all checks
 
     called = {"sim": None if model is None else str(model), "layout": str(layout)}
-    with figures_to(figures):
-        return diagnose_two_axes(
-            recorded, simulator, out=out, called=called, model=model, progress=progress, say=say, **options
-        )
+    return diagnose_two_axes(recorded, simulator, out=out, called=called, model=model, say=say, **options)

@@ -104,11 +104,6 @@ class TwoAxisDiagnosis:
         names = ", ".join(effect.name for effect in self.joins.effects) or "none"
         return in_brief(self, f"joins {names}; x {self.x.verdict}, y {self.y.verdict}")
 
-    def __str__(self) -> str:
-        from .words import headlines
-
-        return "\n".join(headlines(self))
-
     @property
     def named(self) -> bool:
         """Whether the simulator is to be changed: an effect between the axes, effects of an axis or other numbers."""

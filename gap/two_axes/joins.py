@@ -80,13 +80,15 @@ class Tried:
         least = max(_CLEAR * _error_of_mean(gain), _WORTH * max(float(other.squares.mean()) - floor_mse, 0.0))
         return float(gain.mean()) > least
 
-    def alike(self, best: Tried, floor_mse: float) -> bool:
+    def alike(self, best: Tried, rest: Tried, floor_mse: float) -> bool:
         """Whether the held-out error exceeds that of the best by no more than its doubt.
 
-        That is two standard errors, or what the best leaves itself: the form of the simulator errs by as much.
+        That is what the best leaves itself, since the form of the simulator errs by as much, or two standard errors.
+        These count up to a good part of the structural error of the rest, which has neither effect.
         """
-        more = self.squares - best.squares
-        return float(more.mean()) <= max(_CLEAR * _error_of_mean(more), float(best.squares.mean()) - floor_mse)
+        more, left = self.squares - best.squares, float(best.squares.mean()) - floor_mse
+        chance = min(_CLEAR * _error_of_mean(more), _WORTH * (float(rest.squares.mean()) - floor_mse))
+        return float(more.mean()) <= max(chance, left)
 
 
 @dataclass(frozen=True, eq=False)
@@ -294,7 +296,7 @@ def _chosen(data: JoinTrials, nothing: Tried, floor_mse: float, offered: Sequenc
         if not good:
             break
         best = min(good, key=lambda one: float(one.squares.mean()))
-        alike = [one for one in good if one.alike(best, floor_mse)]
+        alike = [one for one in good if one.alike(best, chosen, floor_mse)]
         # Friction has many weights, and may stand for numbers that are not free yet.
         chosen = min(alike, key=lambda one: ("shared_friction" in one.names - chosen.names, float(one.squares.mean())))
     for name in sorted(chosen.names):
@@ -312,11 +314,12 @@ def _ambiguity(
     for name in sorted(chosen.names):
         rest = chosen.names - {name}
         swapped = {other: rest | {other} for other in offered if other not in chosen.names}
-        near = data.worth_trying(list(swapped.values()), data.tried(rest, chosen.joined), floor_mse)
+        fewer = data.tried(rest, chosen.joined)
+        near = data.worth_trying(list(swapped.values()), fewer, floor_mse)
         rivals = [
             other
             for other, names in swapped.items()
-            if names in near and data.tried(names, chosen.joined).alike(chosen, floor_mse)
+            if names in near and data.tried(names, chosen.joined).alike(chosen, fewer, floor_mse)
         ]
         sets += [(name, *rivals)] if rivals else []
     return tuple(sets)
