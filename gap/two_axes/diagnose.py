@@ -22,7 +22,7 @@ from hystmpc.trials.types import Progress, parts
 
 from ..diagnose import DiagnosisResult, diagnose_trials
 from ..diagnosis import FIXED_FILE
-from ..report.folder import DIAGNOSIS_FILE, renewed, require_free, save_diagnosis
+from ..report.folder import DIAGNOSIS_FILE, renewed, require_free
 from .diagnosis import TWO_AXIS_FORMAT, TwoAxisDiagnosis
 from .joins import FREE, JoinTrials, find_joins
 
@@ -101,7 +101,7 @@ def diagnose_two_axes(
         _save(diagnosis, corrected, data, Path(out), settings, models)
         for name, result in (("x", x), ("y", y)):
             with figures_to(None if (folder := figures_folder()) is None else folder / name):
-                save_diagnosis(result.data, Path(out) / name, {**settings, "axis": name}, models=models)
+                result.save(Path(out) / name, {**settings, "axis": name}, models)
     return diagnosis
 
 

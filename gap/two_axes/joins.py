@@ -256,7 +256,9 @@ class JoinTrials:
         label = np.stack([owner, (at * self.simulator.dt_s / _BLOCK_S).astype(int)], axis=1)
         each, number = np.unique(label, axis=0, return_inverse=True)
         number = number.ravel()
-        return Blocks(np.bincount(number, size[self.final]), np.bincount(number).astype(np.float64), each[:, 0])
+        return Blocks(
+            np.bincount(number, size[self.final]).astype(np.float64), np.bincount(number).astype(np.float64), each[:, 0]
+        )
 
 
 def find_joins(data: JoinTrials, seed: int, names: Collection[str] = tuple(FREE)) -> tuple[KnownJoins, TwoAxisModel]:

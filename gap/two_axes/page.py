@@ -38,7 +38,7 @@ def _pieces(diagnosis: TwoAxisDiagnosis, corrected: TwoAxisModel, final: Sequenc
     yield Paragraph("The pages of the axes are `x/report.html` and `y/report.html`.")
     if joins.effects:
         yield Heading("What joins the axes otherwise than in the simulator")
-        yield Points([effect_sentence(effect) for effect in joins.effects])
+        yield Points(tuple(effect_sentence(effect) for effect in joins.effects))
         yield Points(join_actions(diagnosis))
         yield _effects_table(diagnosis)
     for names in joins.ambiguity:
