@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.json_text import file_text, plain
 
 from .bars import Pace, progress_of
 from .console import line, out, say, table
@@ -16,6 +17,7 @@ from .verb import OPTIONAL, SIM, Call, verb
 
 if TYPE_CHECKING:
     from hystmpc.gap.diagnosis import Diagnosis
+    from hystmpc.gap.two_axes.diagnosis import TwoAxisDiagnosis
 
 FAILED = 1
 _REPORT = 10  # steps of the report, after the hundred of the diagnosis
@@ -49,13 +51,19 @@ def diagnose(
     given = {"LOG...": call.trials, "--out": call.out}
     if absent := [name for name, value in given.items() if not value]:
         raise ConfigError(f"diagnose: lacks {', '.join(absent)}, expected LOG... --sim SIM --out DIR, or --self-test")
-    diagnosis: Diagnosis = call.run("diagnose", pace=_PACE, after=_REPORT)
-    if as_json:
-        from hystmpc.gap.report.folder import diagnosis_json
+    diagnosis: Diagnosis | TwoAxisDiagnosis = call.run("diagnose", pace=_PACE, after=_REPORT)
+    from hystmpc.gap.two_axes.diagnosis import TwoAxisDiagnosis
 
-        sys.stdout.write(diagnosis_json(diagnosis))
+    if as_json:
+        sys.stdout.write(file_text(plain(diagnosis.as_json()), indent=2))
         return
-    print_diagnosis(diagnosis)
+    if isinstance(diagnosis, TwoAxisDiagnosis):
+        from hystmpc.gap.two_axes.words import headlines
+
+        for text in headlines(diagnosis):
+            line(text)
+    else:
+        print_diagnosis(diagnosis)
     line(f"report: {call.out / 'report.html'}")
 
 

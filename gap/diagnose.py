@@ -358,6 +358,12 @@ class DiagnosisResult:
         """Verdict, effects, gap and next motion."""
         return self.data.diagnosis
 
+    def save(self, folder: Path | str, settings: Mapping[str, Any], models: Sequence[Path] = ()) -> Path:
+        """Write the folder, see `save_diagnosis`."""
+        from .report.folder import save_diagnosis
+
+        return save_diagnosis(self.data, folder, settings, models=models)
+
 
 def diagnose_trials(
     trials: Sequence[Trial],
@@ -389,7 +395,7 @@ def diagnose_trials(
         ConfigError: if `out` holds anything but an older diagnosis, or cannot be written.
     """
     from .expected_tracking import with_tracking
-    from .report.folder import require_free, save_diagnosis
+    from .report.folder import require_free
 
     if out is not None:
         require_free(out)
@@ -419,5 +425,5 @@ def diagnose_trials(
             "skip_first_flexure": skip_first_flexure,
         }
         (progress or no_progress)(100, 100, "writing the report")
-        save_diagnosis(data, out, settings, models=() if model is None else (model,))
+        DiagnosisResult(findings, data).save(out, settings, () if model is None else (model,))
     return DiagnosisResult(findings, data)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.files import figures_to, require_writable
@@ -15,7 +15,8 @@ from hystmpc.trials.recording import recorded_trials
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress, parts
 
-from .inputs import Logs, Model, Say, allow_classes, as_list, chain_or_model, processes, warn_of_units
+from .diagnose_both import diagnose_both
+from .inputs import Logs, Model, Say, allow_classes, as_list, chain_or_model, of_two_axes, processes, warn_of_units
 from .outputs import check_figures
 
 if TYPE_CHECKING:
@@ -50,6 +51,9 @@ def diagnose(
 ) -> Diagnosis:
     """Diagnose the gap between a simulator and its device: its size, the effects that cause it, and their shares.
 
+    A model of two axes takes logs of two axes. What joins the axes is diagnosed, then each axis; the result is a
+    `TwoAxisDiagnosis`, see the guide on two axes.
+
     Args:
         trials: logs, data frames or trials of one device.
         simulator: a fit, simulator, opened model or file. Where the logs hold the output of a simulator of your own,
@@ -76,7 +80,7 @@ def diagnose(
     Raises:
         LogError: if a log cannot be used, or is a motion that a diagnosis has proposed.
         GapError: if the trials cannot be compared with the simulator, an effect is unknown, or a simulator's output is
-            missing, incomplete or of another command.
+            missing, incomplete or of another command; or for two axes, with an option that one axis alone has.
         ModelError: if the simulator cannot be opened or is an inverse map.
         ConfigError: if there is no simulator, `out` holds anything but an older diagnosis, or a folder cannot be
             written.
@@ -86,6 +90,14 @@ def diagnose(
     from hystmpc.models.load import model_path
 
     check_figures(figures)
+    chosen: dict[str, Any] = {"seed": seed, "without": tuple(without), "only": None if only is None else tuple(only)}
+    chosen |= {"ordered": ordered, "skip_first_flexure": skip_first_flexure}
+    file = Path(simulator) if isinstance(simulator, Path | str) else None
+    if (both := of_two_axes(simulator)) is not None:
+        with figures_to(figures):
+            one = {"--simulated": simulated, "--confirm": confirm}
+            of_both = diagnose_both(trials, both, out, layout, one, model=file, say=say, progress=progress, **chosen)
+        return cast("Diagnosis", of_both)
     _require_free(out)
     user = _user_simulator(simulator, allow_python, by_hand=simulated or confirm)
     chain = None if simulator is None or user is not None else chain_or_model(cast("Model", simulator))
@@ -105,21 +117,11 @@ def diagnose(
     from hystmpc.gap.diagnose import diagnose_trials  # scipy takes long to import: after all checks
 
     called = {"sim": simulator, "simulated": simulated, "confirm": confirm, "layout": layout}
+    texts = {key: None if value is None else str(value) for key, value in called.items()}
+    model = None if file is None or user is not None else Path(model_path(str(simulator)))
     with figures_to(figures):
         done = diagnose_trials(
-            recorded,
-            chain,
-            out=out,
-            called={key: None if value is None else str(value) for key, value in called.items()},
-            model=Path(model_path(str(simulator))) if user is None and isinstance(simulator, Path | str) else None,
-            seed=seed,
-            without=tuple(without),
-            only=None if only is None else tuple(only),
-            ordered=ordered,
-            skip_first_flexure=skip_first_flexure,
-            play=play,
-            progress=progress,
-            say=say,
+            recorded, chain, out=out, called=texts, model=model, play=play, progress=progress, say=say, **chosen
         )
     return done.diagnosis
 

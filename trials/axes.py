@@ -55,8 +55,8 @@ def require_one_axis(trial: Trial) -> None:
     """
     if _command_y(trial) and ANGLE_Y in trial.channels:
         raise LogError(
-            f"{trial.source}: a log of two axes, expected one here; `fit` and `check` take both, a mapping file names "
-            "the columns of one"
+            f"{trial.source}: a log of two axes, expected one here; `fit` and `check` take both, `evaluate` and "
+            "`diagnose` do with a model of two axes, a mapping file names the columns of one"
         )
 
 

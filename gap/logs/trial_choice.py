@@ -273,10 +273,21 @@ def split_runs(
     """
     if len(runs) < _LEAST_TRIALS:
         return _split_in_time(runs)
-    count = max(round(FINAL_SHARE * len(runs)), 1)
-    chosen: list[int] = []
-    left = list(range(len(runs)))
     features = motion_features([run.command for run in runs], runs[0].dt_s)
+    chosen = most_repeated(features, motions, ordered)
+    left = [k for k in range(len(runs)) if k not in chosen]
+    return tuple(runs[k] for k in left), tuple(runs[k] for k in chosen)
+
+
+def most_repeated(features: Vec, motions: Sequence[str], ordered: bool = True) -> list[int]:
+    """Numbers of a quarter of K trials, those most like another: first repeats, of the most frequent motions.
+
+    Args:
+        features: of the trials (K, F), see `motion_features`.
+        motions: kind of motion of each.
+        ordered: whether they are in recording order; if so, the first one is not chosen.
+    """
+    count, chosen, left = max(round(FINAL_SHARE * len(features)), 1), list[int](), list(range(len(features)))
     apart = np.linalg.norm(features[:, None] - features[None], axis=-1)
     while len(chosen) < count:
         # The trial most similar to another, of the most frequent remaining motion.
@@ -290,7 +301,7 @@ def split_runs(
         )
         chosen.append(often)
         left.remove(often)
-    return tuple(runs[k] for k in left), tuple(runs[k] for k in sorted(chosen))
+    return sorted(chosen)
 
 
 def _split_in_time(runs: Sequence[Run]) -> tuple[tuple[Run, ...], tuple[Run, ...]]:

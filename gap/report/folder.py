@@ -6,7 +6,8 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +34,11 @@ _SOMETIMES = (FIXED_FILE, GIVEN_FILE, MOTION_FILE, "log.mcap")
 _GAP_S = 1.0  # between trials in one log
 
 
-def require_free(folder: Path | str) -> None:
+def require_free(folder: Path | str, formats: Sequence[str] = FORMATS) -> None:
     """Refuse a folder that holds anything but an older diagnosis, so that no other files are overwritten.
+
+    Args:
+        formats: of the diagnosis that may be there.
 
     Raises:
         ConfigError: if it is a file, or holds anything but a diagnosis.
@@ -46,17 +50,17 @@ def require_free(folder: Path | str) -> None:
         return
     try:
         RunFolder.open(path)
-        free = holds_diagnosis(path)
+        free = holds_diagnosis(path, formats)
     except LogError:
         free = False
     if not free:
         raise ConfigError(f"{path}: is not empty and holds no diagnosis, expected a new, empty or diagnosis folder")
 
 
-def holds_diagnosis(folder: Path) -> bool:
-    """Whether a folder has the `diagnosis.json` of a diagnosis."""
+def holds_diagnosis(folder: Path, formats: Sequence[str] = FORMATS) -> bool:
+    """Whether a folder has the `diagnosis.json` of a diagnosis of one of these formats."""
     try:
-        return json.loads((folder / DIAGNOSIS_FILE).read_text(encoding="utf-8")).get("format") in FORMATS
+        return json.loads((folder / DIAGNOSIS_FILE).read_text(encoding="utf-8")).get("format") in formats
     except (OSError, ValueError, AttributeError):
         return False
 
@@ -74,6 +78,22 @@ def save_diagnosis(
         ConfigError: if the folder holds something else or cannot be written.
     """
     require_free(folder)
+    with renewed(folder, _SOMETIMES) as made:
+        _write(data, RunFolder.create(made, settings, seed=data.seed, models=models))
+    _write_replays(data.replays, Path(folder) / REPLAY_FOLDER)
+    return Path(folder)
+
+
+@contextmanager
+def renewed(folder: Path | str, sometimes: Iterable[str]) -> Iterator[Path]:
+    """Give an empty folder whose files are moved to a folder at the end, completely or not at all.
+
+    Args:
+        sometimes: names of files that not every diagnosis has; older ones are removed.
+
+    Raises:
+        ConfigError: if the folder cannot be written.
+    """
     target = Path(folder)
     try:
         target.mkdir(parents=True, exist_ok=True)
@@ -81,16 +101,14 @@ def save_diagnosis(
     except OSError as error:
         raise ConfigError(f"{target}: cannot be written ({error.strerror}), expected a writable folder") from None
     try:
-        _write(data, RunFolder.create(made, settings, seed=data.seed, models=models))
+        yield made
         names = sorted(path.name for path in made.iterdir())
         for name in names:
             os.replace(made / name, target / name)
-        for name in set(_SOMETIMES) - set(names):
+        for name in set(sometimes) - set(names):
             (target / name).unlink(missing_ok=True)
-        _write_replays(data.replays, target / REPLAY_FOLDER)
     finally:
         shutil.rmtree(made, ignore_errors=True)
-    return target
 
 
 def diagnosis_json(diagnosis: Diagnosis) -> str:

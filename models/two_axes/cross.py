@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hystmpc.trials.types import Vec
+from hystmpc.trials.types import Mask, Vec
 
 from .model import AXES, COUPLED, Coupled, CrossFriction
 
@@ -22,7 +22,9 @@ _RIDGE = 1e-4
 _PARTS = 6  # parts that are left out one after another
 
 
-def shared_friction(travels: Sequence[Vec], left: Sequence[Vec], dt_s: float) -> CrossFriction | None:
+def shared_friction(
+    travels: Sequence[Vec], left: Sequence[Vec], dt_s: float, seen: Mask | None = None
+) -> CrossFriction | None:
     """Friction and coupling of least error on what the models of both axes leave; None if parts left out need neither.
 
         min_k sum_t |e_i - o - sum_j k_ij z_ji|^2 + ridge sum_j s_j^2 k_ij^2,    o of each trial, s_j the size of z_j
@@ -34,12 +36,14 @@ def shared_friction(travels: Sequence[Vec], left: Sequence[Vec], dt_s: float) ->
         travels: w (T, 2) of every trial.
         left: e = y - f(w) (T, 2) of every trial [deg].
         dt_s: sample time [s].
+        seen: samples of all trials, one behind the other, that count (T,); all where left out.
     """
-    target = np.vstack([e - e.mean(0) for e in left])
+    counted = slice(None) if seen is None else seen
+    target = np.vstack([e - e.mean(0) for e in left])[counted]
     kept: _SharedFit | None = None
     for coupled in (False, True):
         best = min(
-            (_SharedFit.of(travels, target, dt_s, drive, coupled) for drive in _drives(dt_s)),
+            (_SharedFit.of(travels, target, dt_s, drive, coupled, counted) for drive in _drives(dt_s)),
             key=lambda one: float(one.squares.mean()),
         )
         gain = (_squares(target, None) if kept is None else kept.squares) - best.squares
@@ -65,9 +69,15 @@ class _SharedFit:
 
     @classmethod
     def of(
-        cls, travels: Sequence[Vec], target: Vec, dt_s: float, drive: tuple[float, float], coupled: bool
+        cls,
+        travels: Sequence[Vec],
+        target: Vec,
+        dt_s: float,
+        drive: tuple[float, float],
+        coupled: bool,
+        counted: Mask | slice,
     ) -> _SharedFit:
-        """With the products of the travels where `coupled`."""
+        """With the products of the travels where `coupled`, of the samples that are counted."""
         span = max(float(np.ptp(w, axis=0).max()) for w in travels)
         radii, blocks = tuple(share * span for share in SHARES), []
         parts = [CrossFriction(lag_s=0.0, radii=(r,), weights=((1.0,), (1.0,))) for r in radii]
@@ -78,7 +88,7 @@ class _SharedFit:
         for w in travels:
             z = np.stack([part.run(w, dt_s) for part in parts], axis=2)
             blocks.append(z - z.mean(0))
-        columns = np.concatenate(blocks)
+        columns = np.concatenate(blocks)[counted]
         return cls(radii, drive, columns, _squares(target, columns))
 
     def friction(self, target: Vec) -> CrossFriction:

@@ -182,9 +182,7 @@ class _Data:
         left = np.empty_like(y)
         for axis in range(AXES):
             columns = self._columns(tuple(mix[axis].tolist()))
-            square = columns[seen].T @ columns[seen]
-            square += _RIDGE * np.trace(square) / len(square) * np.eye(len(square))
-            left[axis] = y[axis] - columns @ np.linalg.solve(square, columns[seen].T @ y[axis][seen])
+            left[axis] = y[axis] - columns @ weights_of(columns[seen], y[axis][seen])
         return np.asarray(frame @ left)
 
     def _columns(self, shares: tuple[float, ...]) -> Vec:
@@ -192,18 +190,31 @@ class _Data:
         if shares not in self._kept:
             if len(self._kept) >= _KEPT:
                 self._kept.pop(next(iter(self._kept)))
-            self._kept[shares] = self._made([np.array(shares) @ commands for commands in self.commands])
+            self._kept[shares] = columns_of([np.array(shares) @ commands for commands in self.commands], self.dts)
         return self._kept[shares]
 
-    def _made(self, travels: Sequence[Vec]) -> Vec:
-        """Columns (T, K): one, the travel, its square, its lags and plays; every trial begins at rest."""
-        middle = np.mean([0.5 * (w.min() + w.max()) for w in travels])
-        span = max(float(max(w.max() for w in travels) - min(w.min() for w in travels)), 1e-12)
-        blocks = []
-        for w, dt in zip(travels, self.dts, strict=True):
-            v = np.ascontiguousarray((w - middle) / span)
-            slow = [lagged(v, float(np.exp(-dt / lag))) for lag in LAGS_S]
-            gain, start = 1 - float(np.exp(-dt / LAGS_S[0])), np.full(1 + len(RADII), v[0])
-            plays = follow_plays(v, gain, np.array(RADII), start)
-            blocks.append(np.column_stack([np.ones(v.size), v, v * v, *slow, plays]))
-        return np.vstack(blocks)
+
+def columns_of(travels: Sequence[Vec], dts: Sequence[float]) -> Vec:
+    """Columns (T, K) of an axis that is linear in one, its travel, its square, its lags and plays.
+
+    Args:
+        travels: w of every trial, each at rest in the beginning.
+        dts: sample time of every trial [s].
+    """
+    middle = np.mean([0.5 * (w.min() + w.max()) for w in travels])
+    span = max(float(max(w.max() for w in travels) - min(w.min() for w in travels)), 1e-12)
+    blocks = []
+    for w, dt in zip(travels, dts, strict=True):
+        v = np.ascontiguousarray((w - middle) / span)
+        slow = [lagged(v, float(np.exp(-dt / lag))) for lag in LAGS_S]
+        gain, start = 1 - float(np.exp(-dt / LAGS_S[0])), np.full(1 + len(RADII), v[0])
+        plays = follow_plays(v, gain, np.array(RADII), start)
+        blocks.append(np.column_stack([np.ones(v.size), v, v * v, *slow, plays]))
+    return np.vstack(blocks)
+
+
+def weights_of(columns: Vec, target: Vec) -> Vec:
+    """Weights (K,) of least squares on a target (T,), with a slight ridge."""
+    square = columns.T @ columns
+    square += _RIDGE * np.trace(square) / len(square) * np.eye(len(square))
+    return np.asarray(np.linalg.solve(square, columns.T @ target))
