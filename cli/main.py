@@ -18,6 +18,8 @@ from typer.core import TyperGroup
 from hystmpc.trials.errors import HystmpcError
 from hystmpc.trials.from_outside import installed, object_named
 
+from .interrupt import end_imports
+
 UNUSABLE = 2
 
 VERBS: Mapping[str, tuple[str, str]] = MappingProxyType(
@@ -149,9 +151,8 @@ def hystmpc(
     """Identify actuators with hysteresis, control them, and diagnose where a simulator and its device differ."""
     del show_version  # its callback has been called
     from .bars import SCREEN
-    from .entry import imported
 
-    imported()
+    end_imports()
     context.call_on_close(SCREEN.stop)
 
 
