@@ -210,7 +210,8 @@ def _confirmed_causes(
         floor, jumps = floor_of(prepared, chosen), attribution.jumps if facts.jumps else None
         fitted = attribution.validation, attribution.retuned, chosen
         closed = FinalErrors(prepared, *fitted, floor, facts.sensor, seed, jumps).closed()
-        weakest = closed.unproven({names[0] for names in facts.ambiguity}) or "".join(chosen.effects & facts.form_like)
+        weakest = closed.unproven({names[0] for names in facts.ambiguity})
+        weakest = weakest or next(iter(chosen.effects & facts.form_like), "")
         if not weakest:
             return replace(facts, jumps="stick_slip" in closed.causes and facts.jumps), chosen, floor, closed
         facts, chosen = _without_cause(attribution, facts, chosen, weakest)

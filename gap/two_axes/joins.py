@@ -193,6 +193,12 @@ class JoinTrials:
             self._kept[names] = Tried(names, joined, tuple(folds), squares)
         return self._kept[names]
 
+    @property
+    def held_out(self) -> dict[str, float]:
+        """Errors on parts left out [deg], by the effects that were tried."""
+        rows = ((" + ".join(sorted(names)) or "as given", tried) for names, tried in self._kept.items())
+        return {name: float(np.sqrt(tried.squares.mean())) for name, tried in rows}
+
     def worth_trying(self, more: Sequence[frozenset[str]], chosen: Tried, floor_mse: float) -> list[frozenset[str]]:
         """Effects whose own fit lowers the error by a good part, and by about as much as the best; the quick choice.
 
@@ -360,8 +366,7 @@ def _measured(data: JoinTrials, chosen: Tried, nothing: Tried, floor_mse: float,
         floor_rmse_deg=float(np.sqrt(floor_mse)),
         final_trials=data.names,
     )
-    held_out = {" + ".join(sorted(k)) or "as given": float(np.sqrt(t.squares.mean())) for k, t in data._kept.items()}
-    return KnownJoins(tuple(sorted(effects, key=lambda one: -one.closed_share)), (), gap, held_out)
+    return KnownJoins(tuple(sorted(effects, key=lambda one: -one.closed_share)), (), gap, data.held_out)
 
 
 def _values(data: JoinTrials, joined: Joined, name: str) -> dict[str, float]:

@@ -133,5 +133,9 @@ def test_the_diagnosis_names_it_and_says_that_its_share_stays_open() -> None:
     assert diagnosis.verdict in ("named", "one_of")
     assert "stick_slip" in {effect.name for effect in diagnosis.effects}
     assert any("cannot be predicted in a free run" in note for note in diagnosis.notes)
-    without, _ = conclude(find_causes(trials, simulator_of(BACKLASH), without=("stick_slip",)))
+    assert not any("trial_shift" in names for names in findings.attribution.selection.tried)
+    assert any("Shifts between trials are not looked for" in note for note in diagnosis.notes)
+    left_out = find_causes(trials, simulator_of(BACKLASH), without=("stick_slip",))
+    without, _ = conclude(left_out)
     assert "stick_slip" not in {effect.name for effect in without.effects}
+    assert any("trial_shift" in names for names in left_out.attribution.selection.tried)
