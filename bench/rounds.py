@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from hystmpc.gap.diagnose import diagnose_trials
 from hystmpc.gap.diagnosis import Diagnosis, Verdict
-from hystmpc.gap.next.open_hypotheses import discrimination_task
+from hystmpc.gap.next.open_hypotheses import discrimination_task, within_one_sample
 from hystmpc.gap.report.words import closed_sentence, headline, tracking_sentence
 from hystmpc.models.simulator import load_simulator
 from hystmpc.trials.brief import brief, in_brief
@@ -166,6 +166,8 @@ def judge_round(
     planner = RoundPlanner(settings, simulator, left_s, folder)
 
     def planned() -> RoundPlan | None:
+        if within_one_sample(findings) and repeats > 1:
+            return None
         question, recorded = discrimination_task(findings), {file.stem.partition("-")[2] for file in files}
         undecided = repeats > 1  # the last motion was to decide, and did not
         if undecided and (further := planner.further(question, number, recorded)):

@@ -52,12 +52,10 @@ _CONFIRMED_ALONE, _CONFIRMED_SEVERAL = 0.55, 0.8  # share of the final gap that 
 _CONFIRMED_LEFT = 2.4
 _MOVED = 2.0  # MSE of the simulator as given over that of the retuned one, from which numbers were off ...
 _LOWERED = 1.2  # ... and the same where the retuned one leaves more than its form error had been
-# Least share of the retuned error explained by plays of other weights and widths, for a changed friction.
-_FRICTION = 0.6
 # Width of the loop with the effects, over the given one, from which an increased friction may cause the effects
 # themselves, such as slack of a tendon that only pulls.
 WIDTH_GROWN = 1.35
-_ANEW = 0.75  # share of the structural error that a core identified anew has to explain for effects to be that
+_ANEW = 0.75  # share of the structural error that a core with other weights, or another core, explains where it is the cause
 _UNREPEATABLE = 0.5  # share of the retuned error in which repeats of one motion differ, from which it is no form error
 
 
@@ -260,7 +258,7 @@ def _reshaped(case: str, facts: VerdictFacts) -> bool:
     if case in ("no_effect", "left_open"):
         grown = min(retuning.grown_form_mse, _NO_CAUSE * facts.form_mse)
         higher = higher or facts.least_retuned_mse < _NO_CAUSE * grown
-    spread = retuning.friction_share >= _FRICTION
+    spread = retuning.friction_share >= _ANEW
     better = bool(facts.effects) and retuning.friction_share >= facts.closed
     wider = facts.width_grown >= WIDTH_GROWN and retuning.reidentified_share >= _ANEW
     return (vague and (higher or spread)) or (better and spread) or wider

@@ -162,8 +162,8 @@ def prepare(
         checked = replace(checked, notes=(*checked.notes, *notes))
     development, final = split_runs(counted, motions, known)
     new_step = signs.coarse and signs.quantisation_deg > _COARSER * known_step
-    faulty = nominal is not None and (signs.noisy or signs.coarse)
-    excess = signs.energy - nominal**2 if nominal is not None and faulty else 0.0
+    faulty = signs.noisy or (nominal is not None and signs.coarse)
+    excess = signs.energy - (nominal or 0.0) ** 2 if faulty else 0.0
     return PreparedTrials(
         decades=decades,
         checked=checked,

@@ -45,7 +45,8 @@ class SensorSigns:
         spike_rate: isolated spikes per sample.
         held_rate: share of samples that repeat the last value during a motion.
         coarse: whether rounding is a good part of the noise; a log written with few digits is on a grid, too.
-        noisy: whether the noise exceeds the nominal noise by half; False if that is unknown.
+        noisy: whether the noise exceeds the nominal noise by half; if that is unknown, whether it has heavy tails, which
+            are the spikes.
         spikes, drops: whether spikes and held values occur more often than by chance.
     """
 
@@ -74,6 +75,7 @@ def sensor_signs(trials: Sequence[Trial], nominal_noise_deg: float | None = None
     count = sum(number for _, number in spikes)
     drops = sum(runs(mask)[0].size for mask in held)
     held_rate = sum(int(mask.sum()) for mask in held) / sum(len(trial) for trial in trials)
+    spiked = count >= max(_SPIKES, _SPIKE_RATE * ticks)
     fine = nominal_noise_deg if nominal_noise_deg is not None else noise
     return SensorSigns(
         quantisation_deg=step,
@@ -81,8 +83,8 @@ def sensor_signs(trials: Sequence[Trial], nominal_noise_deg: float | None = None
         spike_rate=count / ticks,
         held_rate=held_rate,
         coarse=step / math.sqrt(12) > _COARSE * max(fine, 1e-12) and step > 0,
-        noisy=nominal_noise_deg is not None and noise > _NOISY * nominal_noise_deg,
-        spikes=count >= max(_SPIKES, _SPIKE_RATE * ticks),
+        noisy=spiked if nominal_noise_deg is None else noise > _NOISY * nominal_noise_deg,
+        spikes=spiked,
         drops=drops >= _HELD_STRETCHES and held_rate >= _HELD_RATE,
     )
 

@@ -214,6 +214,8 @@ def affected_case(
 ) -> Case:
     """Case with these effects; without any, the device only deviates from its nominal parameters."""
     made = [_effect(bench, wish) for wish in wishes]
+    while any(np.ptp(angle) == 0 for angle in bench.angles([effect for effect, _ in made])):
+        made = [_finer(bench, *one) for one in made]
     effects, answers = [effect for effect, _ in made], [answer for _, answer in made]
     trials = bench.device.with_effects(effects).record(bench.plan.commands)
     gap = _gap(bench, effects) if effects else {}
@@ -236,6 +238,15 @@ def _second(effects: Sequence[Withheld], trials: int) -> tuple[int, ...]:
     """Numbers of the trials, from 1, in the second configuration."""
     bits = [int(e.shape["second"]) for e in effects if e.generator.label == CONFIGURATION]
     return tuple(k + 1 for k in range(trials) if bits and bits[0] >> k & 1)
+
+
+def _finer(bench: Bench, effect: Withheld, answer: EffectAnswer) -> tuple[Withheld, EffectAnswer]:
+    """Half the step of a coarse sensor, which showed nothing of a whole trial; another effect as it is."""
+    if answer.label != "sensor":
+        return effect, answer
+    finer = effect.resized(0.5 * effect.size)
+    gap = bench.ruler.gap(bench.angles([finer]))
+    return finer, answer.model_copy(update={"size": finer.size, "ratio": gap / bench.floor_deg, "gap_deg": gap})
 
 
 def _effect(bench: Bench, wish: Wish) -> tuple[Withheld, EffectAnswer]:

@@ -7,6 +7,7 @@ generator.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from typing import final
 
@@ -24,7 +25,7 @@ from ..operators.slow_changes import Creep, Drift, FirstFlexure, TrialShift
 from ..operators.static_curves import Contact, NonlinearGain, Slack
 from .effect import CORE, Candidate, Effect, Freedom, Scale, Side, base_name
 
-LONGEST_DELAY_S = 0.4
+LONGEST_DELAY_S = 1.0
 _OUTPUT: tuple[Side, ...] = ("output", "command")
 
 # Forms: bounds and starts are sized by the data; the verdicts of the diagnosis were calibrated with these numbers.
@@ -80,9 +81,15 @@ def _rate_dependence(s: Scale) -> list[Candidate]:
 def _creep(s: Scale) -> list[Candidate]:
     free = (Freedom("share", -1.0, 0.6, 0.05), Freedom("tau_s", 0.5, 3 * s.duration_s, 0.0))
     starts = tuple((share, tau) for tau in (2.0, 10.0) for share in (0.05, -0.1))
+    share, tau = free
+    each = (*(replace(share, name=f"share_{i}") for i in (1, 2)), *(replace(tau, name=f"tau_{i}_s") for i in (1, 2)))
+    spread = tuple((size, size, 1.0, 15.0) for size in (0.05, -0.1))
+    one, two = Creep((0.0,), (5.0,)), Creep((0.0, 0.0), (1.0, 15.0))
     return [
-        Candidate("creep", "command", "command", 30, (Creep((0.0,), (5.0,)),), free, starts),
-        Candidate("creep", "output", "output", 30, (Creep((0.0,), (5.0,)),), free, starts),
+        Candidate("creep", "command", "command", 30, (one,), free, starts),
+        Candidate("creep", "output", "output", 30, (one,), free, starts),
+        Candidate("creep", "command, two terms", "command", 30, (two,), each, spread),
+        Candidate("creep", "output, two terms", "output", 30, (two,), each, spread),
     ]
 
 

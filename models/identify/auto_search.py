@@ -15,7 +15,7 @@ from hystmpc.trials.types import Vec
 
 from ..chain import Chain
 from ..effects.effect import Candidate, Scale
-from ..operators.hysteresis import CurvedPlays
+from ..operators.hysteresis import Backlash, CurvedPlays
 from ..operators.static_curves import Line
 from ..start import search_box
 from .baseline import FreeCoreBaseline
@@ -228,7 +228,9 @@ class AutoSearch:
         known = {_labels(c.core, c.forms) for c in self.tried if c.hypothesis.problem.terms == self.terms}
         for core in self._cores:
             if not core.curve and core.size <= min(largest, _PLAIN) and (core.label,) not in known:
-                self._judged(core, self._none(), self._fitted(core, self._none(), None))
+                fit = self._fitted(core, self._none(), None)
+                if not self._crosses(fit):
+                    self._judged(core, self._none(), fit)
 
     def _rounds(self, present: Choice, names: Sequence[str]) -> Choice:
         # for each part: the device at its last choice, and the tried forms
@@ -432,6 +434,7 @@ class AutoSearch:
         for fit in side_by_side(fitted, made):
             fits.append(fit)
             self._tell(_points(fit[0], fit[1], present))
+        fits = [fit for fit in fits if not self._crosses(fit[2])] or fits
         least = min(fit.mse for *_, fit in fits)
         same = _labels(present.core, present.forms)
         near = [fit for fit in fits if fit[2].mse < _NEAR * least or _labels(*fit[:2]) == same]
@@ -473,6 +476,11 @@ class AutoSearch:
         if isinstance(core.starts[0].core, CurvedPlays):  # linear in its slopes: no start leads elsewhere
             self._core_starts[core.label] = [made.problem.retuned(made.q)]
         return made
+
+    def _crosses(self, fit: Hypothesis) -> bool:
+        """Whether the core is a backlash whose lines cross: no model of a device, and refused as a simulator."""
+        core = fit.chain.core
+        return isinstance(core, Backlash) and core.crosses(self._command.lower, self._command.upper)
 
     def _line_behind(self, effects: Sequence[Candidate], values: Sequence[Sequence[float]]) -> Chain:
         """Regression line over the output of the drive: behind a slow drive it is far steeper than over the command."""

@@ -153,13 +153,12 @@ def residual(log: Trial, trial: Trial, theta: Vec, start: int) -> Residual:
 
 def _check_lines(chain: Chain, trained: Range) -> None:
     """Refuse a backlash whose unloading line dips below its loading line: it has no inverse there."""
-    if isinstance(chain.core, Backlash):
-        for u in (trained.lower, trained.upper):
-            if chain.core.gap(u) < 0:
-                raise FitError(
-                    f"the fitted lines cross: at command {u:.4g} unloading lies {-chain.core.gap(u):.3g} deg below "
-                    "loading, expected above; is the sign of the command right?"
-                )
+    if isinstance(chain.core, Backlash) and chain.core.crosses(trained.lower, trained.upper):
+        depth, u = min((chain.core.gap(u), u) for u in (trained.lower, trained.upper))
+        raise FitError(
+            f"the fitted lines cross: at command {u:.4g} unloading lies {-depth:.3g} deg below loading, expected "
+            "above; is the sign of the command right?"
+        )
 
 
 def corrected_simulator(

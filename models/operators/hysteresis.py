@@ -111,6 +111,10 @@ class Backlash(BacklashLines):
         """Angle between the unloading and the loading line at command `u` [deg]; negative where they cross."""
         return self.m_lo * (u + self.c_lo) - self.m_up * (u + self.c_up)
 
+    def crosses(self, lower: float, upper: float) -> bool:
+        """Whether unloading lies below loading somewhere between two commands: it has no inverse there."""
+        return min(self.gap(lower), self.gap(upper)) < 0
+
     def inverse(self, dead_zone: float = 0.0) -> InverseBacklash:
         """Inverse from angle to command with the same lines; changes within `dead_zone` [deg] are ignored."""
         return InverseBacklash(self.m_lo, self.m_up, self.c_lo, self.c_up, dead_zone)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -177,3 +179,13 @@ def test_a_clean_sensor_shows_no_sign(kind: str, sigma: float) -> None:
     assert not signs.spikes
     assert not signs.drops
     assert repaired(own, signs).angle.tolist() == own.angle.tolist()
+
+
+@given(SEEDS)
+@settings(max_examples=20)
+def test_heavy_tails_are_a_fault_even_where_the_nominal_noise_is_unknown(seed: int) -> None:
+    own, random = [trial(SINE)] * 4, np.random.default_rng(seed)
+    heavy = [replace(one, angle=one.angle + 0.3 * random.standard_t(2.0, len(one))) for one in own]
+    plain = [replace(one, angle=one.angle + 0.3 * random.standard_normal(len(one))) for one in own]
+    assert sensor_signs(heavy).noisy
+    assert not sensor_signs(plain).noisy

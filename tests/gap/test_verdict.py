@@ -32,7 +32,7 @@ NOTHING = replace(EXPLAINED, effects=frozenset(), chosen_mse=1.0, final=FinalFac
 OPEN = replace(EXPLAINED, chosen_mse=0.9)
 AMBIGUOUS = replace(EXPLAINED, ambiguity=(("lag", "delay"),))
 UNPROVEN = FinalFacts(closed_share=0.0, residual_ratio=1.0, unproven=True)
-GROWN = Retuning(2.0, 0.5, 0.6)
+GROWN = Retuning(2.0, 0.5, 0.75)
 ANEW = Retuning(2.0, reidentified_share=0.75)
 WEAK = FinalFacts(closed_share=0.5, residual_ratio=3.0)
 
@@ -111,8 +111,9 @@ def test_what_closes_everywhere_is_between_what_closes_in_parts(left: float, fin
         (replace(EXPLAINED, retuned_fit_mse=0.02, retuning=Retuning(2.0)), "moved", "retuned"),
         (replace(NOTHING, final=FinalFacts(0.0, 1.0, at_floor=True), retuning=Retuning(2.0)), "moved", "retuned"),
         (replace(NOTHING, retuning=Retuning(2.0, 0.5)), "reshaped", "retuned"),
-        (replace(NOTHING, retuning=Retuning(2.0, 0.4, 0.6)), "reshaped", "retuned"),
-        (replace(NOTHING, retuning=Retuning(1.1, 0.5, 0.6)), "no_effect", "unknown"),
+        (replace(NOTHING, retuning=Retuning(2.0, 0.4, 0.75)), "reshaped", "retuned"),
+        (replace(NOTHING, retuning=Retuning(2.0, 0.4, 0.7)), "no_effect", "unknown"),
+        (replace(NOTHING, retuning=Retuning(1.1, 0.5, 0.75)), "no_effect", "unknown"),
         # what repeats do not share is no form error, and retuning has to lower the error of the final trials, too
         (replace(NOTHING, form_mse=0.2, retuning=Retuning(2.0, unrepeatable=0.5)), "no_effect", "unknown"),
         (replace(NOTHING, form_mse=0.2, retuning=Retuning(2.0, unrepeatable=0.4)), "moved", "retuned"),
@@ -140,8 +141,8 @@ def test_what_closes_everywhere_is_between_what_closes_in_parts(left: float, fin
         # plays of the core explain more than the effects
         (replace(EXPLAINED, chosen_mse=0.5, retuning=GROWN), "reshaped", "retuned"),
         (replace(EXPLAINED, chosen_mse=0.5, retuning=GROWN, sensor=True), "explained", "named"),
-        (replace(EXPLAINED, chosen_mse=0.5, retuning=Retuning(2.0, 0.5, 0.59)), "explained", "named"),
-        (replace(EXPLAINED, chosen_mse=0.5, retuning=Retuning(1.1, 0.5, 0.6)), "explained", "named"),
+        (replace(EXPLAINED, chosen_mse=0.5, retuning=Retuning(2.0, 0.5, 0.74)), "explained", "named"),
+        (replace(EXPLAINED, chosen_mse=0.5, retuning=Retuning(1.1, 0.5, 0.75)), "explained", "named"),
         # a core identified anew explains what a friction does that has grown far
         (replace(EXPLAINED, retuning=ANEW, width_grown=1.5), "reshaped", "retuned"),
         (replace(AMBIGUOUS, retuning=ANEW, width_grown=1.5), "reshaped", "retuned"),
