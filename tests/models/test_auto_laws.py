@@ -110,6 +110,21 @@ def test_a_present_device_is_not_lost_to_one_that_only_fits_well(monkeypatch: py
     assert search._simplest(alternatives, made["backlash"]).core.label == "backlash"
 
 
+def test_a_backlash_whose_lines_cross_is_no_device_however_small_its_error() -> None:
+    trials = []
+    for k, u in enumerate(trial.command for trial in ordered(logs())):
+        way = np.sign(np.gradient(u))
+        angle = 10.0 * u - 0.4 * way * (u - np.median(u))  # steeper downwards: unloading is lower below the middle
+        trials.append(Trial(0.04 * np.arange(u.size, dtype=np.float64), u, angle, source=f"{k}.csv"))
+    search = AutoSearch(trials, runs_of(trials), lambda share, rmse: None)
+    none = search._none()
+    cores = [core for core in search._cores if core.label in ("line", "backlash")]
+    line, backlash = (search._judged(core, none, search._fitted(core, none, None)) for core in cores)
+    assert backlash.judged.mse < 0.9 * line.judged.mse
+    assert search._crosses(backlash.hypothesis)
+    assert search._simplest([(core, none) for core in cores], line).core.label == "line"
+
+
 def test_a_larger_device_or_a_part_that_was_refused_does_not_come_back(monkeypatch: pytest.MonkeyPatch) -> None:
     search, made = searched("backlash", "pi, 3 plays")
     backlash, plays = made["backlash"], made["pi, 3 plays"]
