@@ -27,6 +27,7 @@ from .effect import CORE, Candidate, Effect, Freedom, Scale, Side, base_name
 
 LONGEST_DELAY_S = 1.0
 _OUTPUT: tuple[Side, ...] = ("output", "command")
+_INPUT: tuple[Side, ...] = ("command", "output")
 
 # Forms: bounds and starts are sized by the data; the verdicts of the diagnosis were calibrated with these numbers.
 
@@ -81,16 +82,16 @@ def _rate_dependence(s: Scale) -> list[Candidate]:
 def _creep(s: Scale) -> list[Candidate]:
     free = (Freedom("share", -1.0, 0.6, 0.05), Freedom("tau_s", 0.5, 3 * s.duration_s, 0.0))
     starts = tuple((share, tau) for tau in (2.0, 10.0) for share in (0.05, -0.1))
-    share, tau = free
-    each = (*(replace(share, name=f"share_{i}") for i in (1, 2)), *(replace(tau, name=f"tau_{i}_s") for i in (1, 2)))
-    spread = tuple((size, size, 1.0, 15.0) for size in (0.05, -0.1))
     one, two = Creep((0.0,), (5.0,)), Creep((0.0, 0.0), (1.0, 15.0))
-    return [
-        Candidate("creep", "command", "command", 30, (one,), free, starts),
-        Candidate("creep", "output", "output", 30, (one,), free, starts),
-        Candidate("creep", "command, two terms", "command", 30, (two,), each, spread),
-        Candidate("creep", "output, two terms", "output", 30, (two,), each, spread),
-    ]
+    made = [Candidate("creep", side, side, 30, (one,), free, starts) for side in _INPUT]
+    for way, size, ends in (("relaxes", 0.05, (0.0, 0.6)), ("creeps on", -0.1, (-1.0, 0.0))):  # one solid, one sign
+        both = (
+            *(Freedom(f"share_{i}", *ends, 0.05) for i in (1, 2)),
+            *(replace(free[1], name=f"tau_{i}_s") for i in (1, 2)),
+        )
+        begun = ((size, size, 1.0, 15.0),)
+        made += [Candidate("creep", f"{side}, {way}", side, 30, (two,), both, begun) for side in _INPUT]
+    return made
 
 
 def _drift(s: Scale) -> list[Candidate]:
