@@ -55,7 +55,7 @@ _LOWERED = 1.2  # ... and the same where the retuned one leaves more than its fo
 # Width of the loop with the effects, over the given one, from which an increased friction may cause the effects
 # themselves, such as slack of a tendon that only pulls.
 WIDTH_GROWN = 1.35
-_ANEW = 0.75  # share of the structural error that a core with other weights, or another core, explains where it is the cause
+_ANEW = 0.75  # share of the structural error that a core with other weights, or another core, explains as the cause
 _UNREPEATABLE = 0.5  # share of the retuned error in which repeats of one motion differ, from which it is no form error
 
 
