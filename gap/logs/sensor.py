@@ -45,8 +45,7 @@ class SensorSigns:
         spike_rate: isolated spikes per sample.
         held_rate: share of samples that repeat the last value during a motion.
         coarse: whether rounding is a good part of the noise; a log written with few digits is on a grid, too.
-        noisy: whether the noise exceeds the nominal noise by half; if that is unknown, whether it has heavy tails, which
-            are the spikes.
+        noisy: whether the noise exceeds the nominal noise by half; if that is unknown, whether it has spikes.
         spikes, drops: whether spikes and held values occur more often than by chance.
     """
 
