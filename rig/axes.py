@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Any
+from typing import Annotated, Any
 
+from pydantic import Field, model_validator
+
+from hystmpc.ctrl.command import CommandLimits
+from hystmpc.trials.config import Positive, Settings
 from hystmpc.trials.types import Vec
 
 PerAxis = float
-"""A number of one axis; of two axes a tuple of both. Type checkers see the number, with which phases of one axis work."""
+"""A number of one axis; of two axes a tuple of both. Type checkers see the number, with which one axis works."""
 
 NAMES = ("x", "y")
 """Names of two axes in columns, faults and messages."""
@@ -71,3 +75,38 @@ def columns(name: str, value: PerAxis, axes: int) -> dict[str, float]:
     stem, _, unit = name.partition("_")
     names = [f"{stem}_{axis}_{unit}".removesuffix("_") for axis in NAMES]
     return dict(zip(names, spread(value, axes), strict=True))
+
+
+class PlaneLimitsSettings(Settings):
+    """Hard limits of the commands of two axes, in lists `[x, y]`.
+
+    Attributes:
+        lower: least commands [mm or bar].
+        upper: greatest commands [mm or bar].
+        rate_per_s: greatest change of each command [mm/s or bar/s].
+    """
+
+    lower: tuple[float, float]
+    upper: tuple[float, float]
+    rate_per_s: tuple[Positive, Positive]
+
+    @model_validator(mode="after")
+    def _ordered(self) -> PlaneLimitsSettings:
+        for name, low, high in zip(NAMES, self.lower, self.upper, strict=True):
+            if not low < high:
+                raise ValueError(f"got lower {low} and upper {high} of {name}, expected lower < upper")
+        return self
+
+    def build(self) -> tuple[CommandLimits, ...]:
+        """Limits of both commands."""
+        return tuple(map(CommandLimits, self.lower, self.upper, self.rate_per_s))
+
+
+class ModelledPlaneLimitsSettings(PlaneLimitsSettings):
+    """The same where a model is known: wider than those of the model only with `beyond_model`.
+
+    Attributes:
+        beyond_model: whether the limits may be wider than those that the model was made for.
+    """
+
+    beyond_model: Annotated[bool, Field(strict=True)] = False

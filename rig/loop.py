@@ -338,7 +338,9 @@ class ControlLoop:
     def _times(self, woke: int, deadline: int) -> Times:
         return Times(woke, deadline, self._clock.now_ns(), self._clock.wall_ns())
 
-    def _conclude(self, times: Times, seen: Observation, decision: Decision, u: PerAxis, faults: tuple[str, ...]) -> None:
+    def _conclude(
+        self, times: Times, seen: Observation, decision: Decision, u: PerAxis, faults: tuple[str, ...]
+    ) -> None:
         period = times.woke - self._woke_ns
         if self._sequence:
             self.timings.period.add(_S * period)
@@ -473,6 +475,7 @@ class ControlLoop:
         self, times: Times, period: int, seen: Observation, decision: Decision, u: PerAxis, faults: tuple[str, ...]
     ) -> Sample:
         limited, woke = not is_near(u, decision.u, 1e-9), times.woke
+        seen_any = any(map(math.isfinite, each(seen.angle_deg)))
         return Sample(
             t_s=_S * (woke - self._start_ns),
             wall_ns=times.wall,
@@ -488,7 +491,7 @@ class ControlLoop:
             missed=self._late,
             faults=faults,
             sequence=self._sequence,
-            taken_s=_S * (woke - self._start_ns) - seen.age_s if any(map(math.isfinite, each(seen.angle_deg))) else math.nan,
+            taken_s=_S * (woke - self._start_ns) - seen.age_s if seen_any else math.nan,
         )
 
 

@@ -30,7 +30,7 @@ class PhaseInput:
     late: bool = False  # whether the previous sample missed its deadline, so that there is no time for a plan
     skipped: int = 0  # whole samples since the previous one in which nothing was sent and the device held `held`
     reported: PerAxis = math.nan  # the command that the device says it holds, NaN where it does not tell
-    velocity: PerAxis = 0.0  # of the command between the last two samples; 0 where the device was found at rest [unit/s]
+    velocity: PerAxis = 0.0  # of the command between the last two samples; 0 where the device is at rest [unit/s]
     frames: tuple[ObservedFrame, ...] = ()  # of an intermittent sensor, accepted since the last sample
     shown_deg: PerAxis = math.nan  # the newest angle that is not stale, believed or not; NaN where none came [deg]
 
@@ -201,8 +201,8 @@ class SafeStop(Phase):
     starts of the motion is left to its watchdog.
 
     Args:
-        commands: held command and its velocity to the commands (N,), of two axes (N, 2), to send; where it fails, the safe command itself is
-            wanted, and the gate lets the device there as fast as the limits allow.
+        commands: held command and its velocity to the commands (N,), of two axes (N, 2), to send; where it fails, the
+            safe command itself is wanted, and the gate lets the device there as fast as the limits allow.
         safe: the safe command; NaN rests where the motion ends, which is never confirmed, so that the device's watchdog
             stays armed.
         tolerance: greatest deviation of the reported command, in its unit.

@@ -306,14 +306,11 @@ class Intake:
             if fault:
                 self._reject(faults, fault)
             elif taken_ns is not None:
-                for i, angle in enumerate(spread(reading.angle_deg, len(angles))):
-                    if fault := angles[i].fault(angle, taken_ns):
-                        self._reject(faults, fault, i)
-                        continue
-                    if not continuous:
-                        frames.append(ObservedFrame(angle, _S * (now_ns - taken_ns)))
-                    if angles[i].accept(angle, taken_ns):
-                        seen_ns = now_ns if continuous else taken_ns
+                plausible, accepted = self._accept(reading, taken_ns, faults)
+                if not continuous:
+                    frames += [ObservedFrame(angle, _S * (now_ns - taken_ns)) for angle in plausible]
+                if accepted:
+                    seen_ns = now_ns if continuous else taken_ns
         for i, one in enumerate(angles):
             if continuous and math.isnan(one.fresh) and not one.faults:
                 self._reject(faults, "no-angle", i)
@@ -363,13 +360,25 @@ class Intake:
         return self._order.lost
 
     def _begin(self, command: PerAxis, now_ns: int) -> None:
-        """Start a sample, after the command sent last; a motion of either axis tells a frozen sensor from a still one."""
+        """Start a sample, after the command sent last; a motion of either axis tells a frozen from a still sensor."""
         before, now = each(self._command), spread(command, len(self._angles))
         travel = sum(abs(new - old) for new, old in zip(now, before, strict=True))
         for one in self._angles:
             one.begin(travel if math.isfinite(travel) else 0.0)
         self._command = together(now)
         self._remember(self._command, now_ns)
+
+    def _accept(self, reading: Reading, taken_ns: int, faults: list[str]) -> tuple[list[float], bool]:
+        """Check the angles of a reading; return the plausible ones, and whether one of them is the newest."""
+        plausible: list[float] = []
+        accepted = False
+        for i, angle in enumerate(spread(reading.angle_deg, len(self._angles))):
+            if fault := self._angles[i].fault(angle, taken_ns):
+                self._reject(faults, fault, i)
+            else:
+                plausible.append(angle)
+                accepted |= self._angles[i].accept(angle, taken_ns)
+        return plausible, accepted
 
     def _reject(self, faults: list[str], fault: str, axis: int | None = None) -> None:
         """Note a fault of a reading or of an axis in the faults of the sample and of each axis concerned."""
@@ -446,8 +455,8 @@ class Intake:
     def _silence(self, now_ns: int, readings: int) -> str:
         """Cause of a stop for a missing angle or, without a sensor, for a silent device."""
         if self._settings.kind != "none":
-            causes = [of_axis(one.silence(now_ns, readings), i, len(self._angles)) for i, one in enumerate(self._angles)]
-            return next(filter(None, causes), "")
+            causes = [one.silence(now_ns, readings) for one in self._angles]
+            return next((of_axis(cause, i, len(causes)) for i, cause in enumerate(causes) if cause), "")
         silent_s = _S * (now_ns - self._angles[0].accepted_ns)
         silent = self._reports_held and silent_s > self._settings.silence_s
         return f"device silent: no word of what it holds for {silent_s:.2f} s" if silent else ""
