@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from hystmpc.rig.histogram import TimingSummary
     from hystmpc.rig.live.desk import Desk
     from hystmpc.rig.loop import RunOutcome
+    from hystmpc.rig.plane_config import PlaneRunSettings
     from hystmpc.rig.recording.recorder_process import RecorderProcess
     from hystmpc.rig.recording.recording import RecordingMeta
     from hystmpc.rig.run import BenchResult
@@ -45,24 +46,28 @@ def run(call: Call) -> None:
     from hystmpc.bench.device import plants_in
     from hystmpc.rig.config import load_run
     from hystmpc.rig.experiment.experiment import run_experiment
+    from hystmpc.rig.experiment.plane import run_plane_experiment
     from hystmpc.rig.live.desk import Desk
+    from hystmpc.rig.plane_config import PlaneRunSettings, file_of_two_axes, load_plane_run
     from hystmpc.rig.recording.recording import RecordingMeta
 
-    settings = _begun(call, load_run)
+    settings = _begun(call, load_plane_run if file_of_two_axes(call.config) else load_run)
     model, desk = settings.controller.model, Desk(settings.live)
     meta = RecordingMeta(
         settings.command_unit,
         models=() if model.startswith("builtin:") else (Path(model),),
         stages=("step", "total", "execution"),
+        axes=len(settings.axes_limits),
     )
-    result = run_experiment(
-        settings,
+    parts = (
         _recording(call, settings, meta, desk, report=False),  # the review writes the one report there is
         plants_in(call.config.resolve().parent, settings.command_unit),
-        folder=call.out,
-        note=say,
-        desk=desk,
     )
+    more = {"folder": call.out, "note": say, "desk": desk}
+    if isinstance(settings, PlaneRunSettings):
+        result = run_plane_experiment(settings, *parts, **more)
+    else:
+        result = run_experiment(settings, *parts, **more)
     _print_outcome(settings, result)
     from hystmpc.rig.experiment.review import review_run  # matplotlib takes a second to import: after the run
 
@@ -123,7 +128,11 @@ def _begun(call: Call, load: Callable[..., S]) -> S:
 
 
 def _recording(
-    call: Call, settings: RunSettings | RecordSettings, meta: RecordingMeta, desk: Desk, report: bool = True
+    call: Call,
+    settings: RunSettings | PlaneRunSettings | RecordSettings,
+    meta: RecordingMeta,
+    desk: Desk,
+    report: bool = True,
 ) -> Callable[[], RecorderProcess]:
     """Function that opens the recording after the device's answer, and prints the address of the page."""
     from hystmpc.rig.recording.recorder_process import Views, open_recorder_process
@@ -161,7 +170,9 @@ def _print_outcome(settings: BenchSettings, result: BenchResult) -> None:
 
 def _end_of(settings: BenchSettings, outcome: RunOutcome) -> str:
     """Sentence on the safe command: sent, confirmed by the device, or neither."""
-    safe = f"safe command {settings.safe_command:g} {settings.command_unit}"
+    from hystmpc.rig.axes import in_words
+
+    safe = f"safe command {in_words(settings.safe_command, 'g')} {settings.command_unit}"
     if math.isnan(outcome.safe_s):
         return f"{safe} not sent: the device's own watchdog has to act, look at the device"
     took = f"{outcome.safe_s - outcome.stop_s:.2f} s later"
@@ -290,10 +301,13 @@ def device(
 ) -> None:
     """The simulated device listens until Ctrl-C, on the loopback unless the file has another address."""
     from hystmpc.bench.device import make_plant
-    from hystmpc.rig.device import DeviceSettings, serve
+    from hystmpc.rig.axes import in_words
+    from hystmpc.rig.device import DeviceSettings, PlaneDeviceSettings, serve
+    from hystmpc.rig.plane_config import file_of_two_axes
     from hystmpc.trials.config import load_settings
 
-    settings = load_settings(DeviceSettings, config, overrides or ())
+    kind = PlaneDeviceSettings if file_of_two_axes(config) else DeviceSettings
+    settings = load_settings(kind, config, overrides or ())
     folder = config.resolve().parent
     if settings.log is not None:
         settings = settings.model_copy(update={"log": folder / settings.log})
@@ -302,7 +316,7 @@ def device(
     def ready(link: DeviceLink) -> None:
         port = getattr(link, "port", None)
         where = "dds" if port is None else f"udp port {port}"
-        line(f"device ready: {where}, {settings.rate_hz:g} Hz, holds {held:g} {settings.command_unit}")
+        line(f"device ready: {where}, {settings.rate_hz:g} Hz, holds {in_words(held, 'g')} {settings.command_unit}")
 
     served = serve(settings, plant, held, ready, seconds or float("inf"), say)
     rejected = ", ".join(f"{count} {cause}" for cause, count in served.rejected.items()) or "none"

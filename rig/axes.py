@@ -43,7 +43,8 @@ def rows_of(array: Vec) -> list[PerAxis]:
 
 def from_array(value: Any) -> PerAxis:
     """A number of one axis as it is, or a tuple of an array (2,)."""
-    return together(value.tolist()) if getattr(value, "ndim", 0) else value
+    plain = value.tolist() if hasattr(value, "ndim") else value
+    return together(plain) if isinstance(plain, list) else plain
 
 
 def is_known(value: PerAxis) -> bool:
