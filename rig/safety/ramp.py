@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hystmpc.trajectories.motion import Kinematics, MotionLimits, PiecewiseCubic, hold
+from hystmpc.trajectories.motion import Kinematics, MotionLimits, PiecewiseCubic, Segments, hold
 from hystmpc.trajectories.ruckig_ import move_to_rest, move_together
 from hystmpc.trials.config import Positive, Settings
 from hystmpc.trials.errors import TrajectoryError
@@ -52,11 +52,8 @@ def ramp_commands(start: PerAxis, velocity: PerAxis, target: PerAxis, ramps: Ram
     Raises:
         TrajectoryError: if ruckig finds no motion.
     """
-    targets, starts = each(target), list(map(Kinematics, each(start), each(velocity)))
-    if len(targets) == 1:
-        moves = [move_to_rest(starts[0], targets[0], ramps.limits)]
-    else:
-        moves = move_together(starts, targets, ramps.limits)
+    targets = each(target)
+    moves = _moves(list(map(Kinematics, each(start), each(velocity))), targets, ramps)
     motions = [PiecewiseCubic(segments) if segments.size else None for segments in moves]
     longest_s = max(0.0 if motion is None else motion.duration_s for motion in motions)
     t = dt_s * np.arange(1, max(1, math.ceil(longest_s / dt_s - 1e-9)) + 1)
@@ -104,21 +101,32 @@ def _braking(start: float, velocity: float, ramps: RampSettings, overshoot: floa
 
 
 def waypoint_commands(
-    start: float, stops: Sequence[float], holds_s: Sequence[float], ramps: RampSettings, dt_s: float
+    start: PerAxis, stops: Sequence[PerAxis], holds_s: Sequence[float], ramps: RampSettings, dt_s: float
 ) -> Vec:
-    """Commands (N,) of ramps from rest at `start` to every stop, each followed by its hold.
+    """Commands (N,) of ramps from rest at `start` to every stop, each followed by its hold; of two axes (N, 2).
 
     Raises:
         TrajectoryError: if ruckig finds no motion, or there is nothing to do.
     """
-    pieces, now = [], start
+    now = each(start)
+    pieces: list[list[Segments]] = [[] for _ in now]
     for stop, rest_s in zip(stops, holds_s, strict=True):
-        pieces += [move_to_rest(Kinematics(now), stop, ramps.limits), hold(stop, rest_s)]
-        now = stop
-    segments = np.vstack(pieces) if pieces else np.empty((0, 5))
-    segments = segments[segments[:, 0] > 0]
-    if not segments.size:
+        moves = _moves(list(map(Kinematics, now)), each(stop), ramps)
+        for one, move, end in zip(pieces, moves, each(stop), strict=True):
+            one += [move, hold(end, rest_s)]
+        now = each(stop)
+    segments = [np.vstack(one) if one else np.empty((0, 5)) for one in pieces]
+    segments = [one[one[:, 0] > 0] for one in segments]
+    if not segments[0].size:
         raise TrajectoryError(f"command motion: got stops {list(stops)} from {start}, expected some motion or hold")
-    motion = PiecewiseCubic(segments)
-    steps = max(1, math.ceil(motion.duration_s / dt_s - 1e-9))
-    return motion(dt_s * np.arange(1, steps + 1))
+    motions = [PiecewiseCubic(one) for one in segments]
+    steps = max(1, math.ceil(max(motion.duration_s for motion in motions) / dt_s - 1e-9))
+    commands = [motion(dt_s * np.arange(1, steps + 1)) for motion in motions]
+    return commands[0] if len(commands) == 1 else np.stack(commands, axis=1)
+
+
+def _moves(starts: Sequence[Kinematics], targets: Sequence[float], ramps: RampSettings) -> list[Segments]:
+    """Segments of the moves of all axes to rest; those of two axes end at the same time."""
+    if len(starts) == 1:
+        return [move_to_rest(starts[0], targets[0], ramps.limits)]
+    return move_together(starts, targets, ramps.limits)
