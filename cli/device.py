@@ -69,11 +69,11 @@ def run(call: Call) -> None:
     else:
         result = run_experiment(settings, *parts, **more)
     _print_outcome(settings, result)
-    from hystmpc.rig.experiment.review import review_run  # matplotlib takes a second to import: after the run
+    from hystmpc.rig.experiment.plane_review import review_bench_run  # matplotlib takes a second: after the run
 
     report = call.out / "report.html"
     try:
-        review = review_run(call.out)
+        review = review_bench_run(call.out)
     except OSError as error:  # a full disk must not hide how the run ended
         say(f"{report}: not written ({error.strerror}), `hystmpc report {call.out}` makes it once there is room")
     else:

@@ -399,7 +399,7 @@ def message(state: LiveState, unit: str, rate_hz: float) -> dict[str, Any]:
     }
 
 
-def _figures(value: PerAxis) -> float | None | list[float | None]:
+def _figures(value: PerAxis) -> float | list[float | None] | None:
     """Number of one axis, or list of both."""
     numbers = [_number(one) for one in each(value)]
     return numbers[0] if len(numbers) == 1 else numbers

@@ -32,7 +32,8 @@ class LiveState:
     Attributes:
         t, reference, angle, command: the last 20 s, decimated, (P,), of two axes (P, 2) but for `t`; not-a-number
             without an angle.
-        rms_deg, rate_hz: tracking error, of two axes the distance in their plane, and real rate of the loop over these 20 s.
+        rms_deg, rate_hz: tracking error and real rate of the loop over these 20 s; of two axes the error is the
+            distance in their plane.
         late, total: histograms of lateness and of the execution time of a sample, since the start.
         faults, fault_s: samples with each fault since the start, and the time of the last one [s].
         notes: messages from elsewhere, such as an end of the recording.
