@@ -45,10 +45,13 @@ def run_plane_experiment(
     return run_bench(settings, lambda: [tracking], sink, plants, folder=folder, note=note, desk=desk, frame=frame)
 
 
-def plane_tracking(settings: PlaneRunSettings, note: Note = lambda text: None) -> tuple[Tracking, AxesFrame]:
+def plane_tracking(
+    settings: PlaneRunSettings, note: Note = lambda text: None, threaded: bool = True
+) -> tuple[Tracking, AxesFrame]:
     """Phase that tracks the reference with a controller of two axes, and the coordinates of the model's axes.
 
     Args:
+        threaded: as of `tracking_phase`.
         note: called where the reference is beyond the model's reach.
 
     Raises:
@@ -83,7 +86,7 @@ def plane_tracking(settings: PlaneRunSettings, note: Note = lambda text: None) -
     watch = model_watch(settings.plausibility, wanted.controller, settings.dt_s)
     spans = [high - low for low, high, _ in allowed.travel_limits()]
     frame = AxesFrame(allowed.matrix, np.linalg.inv(allowed.turn), (spans[0], spans[1]))
-    return Tracking(cast(TipController, tip), lead_in, watch, None), frame
+    return Tracking(cast(TipController, tip), lead_in, watch, None, threaded=threaded), frame
 
 
 def _fits(settings: PlaneRunSettings, model: TwoAxisModel) -> None:
