@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from hystmpc.bench.commission import Commissioned
     from hystmpc.bench.rounds import Investigated
     from hystmpc.rig.config import BenchSettings, RunSettings
-    from hystmpc.rig.experiment.record import RecordSettings
+    from hystmpc.rig.experiment.record import AnyRecordSettings
     from hystmpc.rig.histogram import TimingSummary
     from hystmpc.rig.live.desk import Desk
     from hystmpc.rig.loop import RunOutcome
@@ -51,7 +51,8 @@ def run(call: Call) -> None:
     from hystmpc.rig.plane_config import PlaneRunSettings, file_of_two_axes, load_plane_run
     from hystmpc.rig.recording.recording import RecordingMeta
 
-    settings = _begun(call, load_plane_run if file_of_two_axes(call.config) else load_run)
+    load: Callable[..., RunSettings | PlaneRunSettings] = load_plane_run if file_of_two_axes(call.config) else load_run
+    settings = _begun(call, load)
     model, desk = settings.controller.model, Desk(settings.live)
     meta = RecordingMeta(
         settings.command_unit,
@@ -97,9 +98,10 @@ def record(call: Call) -> None:
 
     settings = _begun(call, load_record)
     desk = Desk(settings.live)
+    meta = RecordingMeta(settings.command_unit, stages=("execution",), axes=len(settings.axes_limits))
     result = play(
         settings,
-        _recording(call, settings, RecordingMeta(settings.command_unit, stages=("execution",)), desk),
+        _recording(call, settings, meta, desk),
         plants_in(call.config.resolve().parent, settings.command_unit),
         call.out,
         note=say,
@@ -129,7 +131,7 @@ def _begun(call: Call, load: Callable[..., S]) -> S:
 
 def _recording(
     call: Call,
-    settings: RunSettings | PlaneRunSettings | RecordSettings,
+    settings: RunSettings | PlaneRunSettings | AnyRecordSettings,
     meta: RecordingMeta,
     desk: Desk,
     report: bool = True,

@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.trials.config import Positive, Settings
+from hystmpc.trials.layouts import CANONICAL, command_column
 from hystmpc.trials.types import Vec
 
 PerAxis = float
@@ -76,6 +77,21 @@ def columns(name: str, value: PerAxis, axes: int) -> dict[str, float]:
     stem, _, unit = name.partition("_")
     names = [f"{stem}_{axis}_{unit}".removesuffix("_") for axis in NAMES]
     return dict(zip(names, spread(value, axes), strict=True))
+
+
+def trial_columns(t: Vec, commands: Vec, angles_deg: Vec, unit: str) -> dict[str, Vec]:
+    """Columns of a trial of two axes, as `fit` reads it.
+
+    Args:
+        t: times (T,) [s].
+        commands: of both axes (T, 2), in the unit.
+        angles_deg: (T, 2) [deg].
+        unit: of the commands, mm or bar.
+    """
+    made = {CANONICAL.time: t}
+    for name, values in ((command_column(unit), commands), (CANONICAL.angle, angles_deg)):
+        made |= dict(zip(columns(name, math.nan, len(NAMES)), values.T, strict=True))
+    return made
 
 
 class PlaneLimitsSettings(Settings):

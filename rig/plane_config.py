@@ -10,12 +10,13 @@ from pydantic import Field, model_validator
 
 from hystmpc.ctrl.config import sensor_fault
 from hystmpc.ctrl.two_axes.tip_controller import TwoAxisTipSettings
+from hystmpc.models.load import model_path
 from hystmpc.models.two_axes.model import has_two_axes
 from hystmpc.trajectories.config import MotionInPlane
 from hystmpc.trials.config import Settings, load_settings, read_yaml
 from hystmpc.trials.errors import ConfigError
 
-from .axes import ModelledPlaneLimitsSettings, together
+from .axes import ModelledPlaneLimitsSettings, PlaneLimitsSettings, together
 from .config import BenchSettings, ReviewSettings, located
 from .experiment.phases import CommandMotion, Phase, RelaxationSettings
 from .live.desk import LiveSettings
@@ -45,8 +46,8 @@ class PlaneMoveSettings(Settings):
 PlaneStep = Annotated[PlaneMoveSettings | RelaxationSettings, Field(discriminator="step")]
 
 
-class PlaneRunSettings(BenchSettings):
-    """Settings of a closed-loop experiment on a device of two axes; keys as of one axis, with `[x, y]` for commands.
+class PlaneBenchSettings(BenchSettings):
+    """Settings of a bench of two axes; keys as of one axis, with `[x, y]` for commands.
 
     Ramps, sensor and plausibility are those of both axes.
 
@@ -59,32 +60,22 @@ class PlaneRunSettings(BenchSettings):
         wire: units of the device.
         transport: of kind udp or simulated.
         prepare: steps before the first sample of the experiment: `move` and `relaxation`.
-        controller: a planner's controller of two axes; its own limits may narrow those of the bench.
-        reference: motion of both angles.
-        review: of the run.
-        live: the local page, which takes no target of two axes.
     """
 
-    limits: ModelledPlaneLimitsSettings  # type: ignore[assignment]  # pyright: ignore[reportIncompatibleVariableOverride]
+    limits: PlaneLimitsSettings  # type: ignore[assignment]  # pyright: ignore[reportIncompatibleVariableOverride]
     start_command: Both | None = None  # type: ignore[assignment]  # pyright: ignore[reportIncompatibleVariableOverride]
     safe_command: Both  # type: ignore[assignment]  # pyright: ignore[reportIncompatibleVariableOverride]
     wire: PlaneWireUnits = PlaneWireUnits()  # pyright: ignore[reportIncompatibleVariableOverride]
     prepare: tuple[PlaneStep, ...] = ()  # type: ignore[assignment]  # pyright: ignore[reportIncompatibleVariableOverride]
-    controller: TwoAxisTipSettings
-    reference: MotionInPlane
-    review: ReviewSettings = ReviewSettings()
-    live: LiveSettings = LiveSettings()
 
     @model_validator(mode="after")
-    def _of_two_axes(self) -> PlaneRunSettings:
+    def _of_two_axes(self) -> PlaneBenchSettings:
         if self.sensor.kind != "continuous":
             raise ValueError(f"got sensor.kind {self.sensor.kind}, expected continuous for two axes")
         if self.transport.kind not in _TRANSPORTS:
             raise ValueError(
                 f"got transport.kind {self.transport.kind}, expected {' or '.join(_TRANSPORTS)} for two axes"
             )
-        if fault := sensor_fault(self.controller.controller, self.sensor.kind):
-            raise ValueError(f"controller.controller.{fault}")
         if self.realtime.backend != "python":
             raise ValueError(f"got realtime.backend {self.realtime.backend}, expected python for two axes")
         for step in self.prepare:
@@ -92,6 +83,30 @@ class PlaneRunSettings(BenchSettings):
             for value, one in ends:
                 if not one.lower <= value <= one.upper:
                     raise ValueError(f"got prepare step move to {value}, expected it within {one.lower} to {one.upper}")
+        return self
+
+
+class PlaneRunSettings(PlaneBenchSettings):
+    """Settings of a closed-loop experiment on a device of two axes (`hystmpc run`).
+
+    Attributes:
+        limits: as of every bench; wider ones than those of the model are refused unless `limits.beyond_model` is true.
+        controller: a planner's controller of two axes; its own limits may narrow those of the bench.
+        reference: motion of both angles.
+        review: of the run.
+        live: the local page, which takes no target of two axes.
+    """
+
+    limits: ModelledPlaneLimitsSettings  # pyright: ignore[reportIncompatibleVariableOverride]  # settings are frozen
+    controller: TwoAxisTipSettings
+    reference: MotionInPlane
+    review: ReviewSettings = ReviewSettings()
+    live: LiveSettings = LiveSettings()
+
+    @model_validator(mode="after")
+    def _controller_fits_the_sensor(self) -> PlaneRunSettings:
+        if fault := sensor_fault(self.controller.controller, self.sensor.kind):
+            raise ValueError(f"controller.controller.{fault}")
         return self
 
 
@@ -121,7 +136,8 @@ def load_plane_run(path: Path | str, overrides: Iterable[str] = ()) -> PlaneRunS
 
     Raises:
         ConfigError: on an unreadable file, an unknown key or a value out of bounds.
+        ModelError: on an unknown built-in model.
     """
     settings, folder = load_settings(PlaneRunSettings, path, overrides), Path(path).resolve().parent
-    tip = settings.controller.model_copy(update={"model": str(folder / settings.controller.model)})
+    tip = settings.controller.model_copy(update={"model": str(model_path(settings.controller.model, folder))})
     return settings.model_copy(update={"controller": tip, **located(settings, folder)})

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from hystmpc.ctrl.monitor import ChangeMonitor
 from hystmpc.models.two_axes.model import load_two_axes
@@ -24,7 +25,7 @@ from hystmpc.trials.report import MEASURED, Heading, KeyValues, Piece, Plot, Rep
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.types import Vec, rms
 
-from ..axes import NAMES, columns
+from ..axes import NAMES, columns, trial_columns
 from ..plane_config import PlaneRunSettings, says_two_axes
 from ..recording.report import Log, causes, numbers, timing_table
 from .review import (
@@ -49,7 +50,6 @@ class PlaneRows:
 
     Attributes:
         t: ends of the samples (N,) [s].
-        tracked: samples with both angles and a reference (N,).
     """
 
     t: Vec
@@ -60,9 +60,9 @@ class PlaneRows:
     free_deg: Vec
 
     @property
-    def seen(self) -> Vec:
+    def seen(self) -> NDArray[np.bool_]:
         """Samples with both angles (N,)."""
-        return np.isfinite(self.measured_deg).all(axis=1)
+        return np.asarray(np.isfinite(self.measured_deg).all(axis=1))
 
 
 @dataclass(frozen=True)
@@ -117,11 +117,8 @@ def review_plane_run(folder: Path, more: Sequence[Piece] = ()) -> PlaneReview:
     try:
         rows = plane_rows(run, settings)
         verdict = _judged(rows, settings)
-        usable, unit = rows.seen, command_column(settings.command_unit)
-        trial = {CANONICAL.time: rows.t[usable]}
-        for name, values in ((unit, rows.command), (CANONICAL.angle, rows.measured_deg)):
-            trial |= dict(zip(columns(name, 0.0, _AXES), values[usable].T, strict=True))
-        write_atomically(folder / TRIAL_FILE, format_table(trial))
+        t, u, y = (values[rows.seen] for values in (rows.t, rows.command, rows.measured_deg))
+        write_atomically(folder / TRIAL_FILE, format_table(trial_columns(t, u, y, settings.command_unit)))
     except (LogError, TrajectoryError) as error:
         verdict = PlaneReview(math.nan, math.nan, problem=str(error))
     _write_page(run, settings, rows, verdict, more)
@@ -165,10 +162,17 @@ def _judged(rows: PlaneRows, settings: PlaneRunSettings) -> PlaneReview:
     model = load_two_axes(settings.controller.model)
     each = []
     for i, axis in enumerate(model.axes):
-        signals = rows.command, rows.measured_deg, rows.reference_deg, rows.predicted_deg, rows.free_deg
         trained = axis.trained_angle_deg.lower, axis.trained_angle_deg.upper
-        monitor = ChangeMonitor(None, settings.dt_s, trained)
-        one = ReviewedRun(rows.t, *(values[:, i] for values in signals), rows.seen, monitor)
+        one = ReviewedRun(
+            t=rows.t,
+            command=rows.command[:, i],
+            measured_deg=rows.measured_deg[:, i],
+            reference_deg=rows.reference_deg[:, i],
+            predicted_deg=rows.predicted_deg[:, i],
+            free_deg=rows.free_deg[:, i],
+            counted=rows.seen,
+            monitor=ChangeMonitor(None, settings.dt_s, trained),
+        )
         each.append(review(one, settings.review.due_above_deg))
     away = np.hypot(*(rows.measured_deg - rows.reference_deg).T)
     away = away[np.isfinite(away)]
