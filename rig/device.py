@@ -98,10 +98,10 @@ class PlaneDeviceSettings(DeviceSettings):
         link: address of the device.
     """
 
-    sensor: ContinuousSensorSettings = ContinuousSensorSettings()
+    sensor: ContinuousSensorSettings = ContinuousSensorSettings()  # pyright: ignore[reportIncompatibleVariableOverride]
     limits: PlaneLimitsSettings  # type: ignore[assignment]  # pyright: ignore[reportIncompatibleVariableOverride]  # settings are frozen
-    wire: PlaneWireUnits = PlaneWireUnits()
-    link: UdpListenSettings
+    wire: PlaneWireUnits = PlaneWireUnits()  # pyright: ignore[reportIncompatibleVariableOverride]
+    link: UdpListenSettings  # pyright: ignore[reportIncompatibleVariableOverride]
 
 
 @dataclass(frozen=True)

@@ -70,9 +70,9 @@ class Gate:
 
     def numbers(self) -> Mapping[str, float] | None:
         """Initial state of the same limits in C; None before the first sent command, and for two axes."""
-        if not self.anchored or self._sent_ns is None or len(self._limits) > 1:
+        if not self.anchored or self._sent_ns is None or len(self._limits) != 1:
             return None
-        one = self._limits[0]
+        (one,) = self._limits
         limits = {"lower": one.lower, "upper": one.upper, "rate": one.rate}
         return {**limits, "dt_s": self._dt, "last": self.last, "gate_ns": self._sent_ns}
 
