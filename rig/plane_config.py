@@ -21,6 +21,7 @@ from .config import BenchSettings, ReviewSettings, located
 from .experiment.phases import CommandMotion, Phase, RelaxationSettings
 from .live.desk import LiveSettings
 from .safety.ramp import RampSettings, ramp_commands
+from .transports.simulated import SimulatedSettings
 from .transports.transport import PlaneWireUnits
 
 Both = tuple[float, float]
@@ -76,6 +77,8 @@ class PlaneBenchSettings(BenchSettings):
             raise ValueError(
                 f"got transport.kind {self.transport.kind}, expected {' or '.join(_TRANSPORTS)} for two axes"
             )
+        if isinstance(self.transport, SimulatedSettings) and self.transport.sensor.kind != "continuous":
+            raise ValueError(f"got transport.sensor {self.transport.sensor.kind}, expected continuous for two axes")
         if self.realtime.backend != "python":
             raise ValueError(f"got realtime.backend {self.realtime.backend}, expected python for two axes")
         for step in self.prepare:

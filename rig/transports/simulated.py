@@ -163,6 +163,10 @@ class SimulatedSettings(TransportBase):
 
     def open(self, run: RunContext) -> Transport:
         plant, held = run.plants(self, run.dt_s)
+        if (axes := len(each(held))) != run.conversion.axes:
+            raise ConfigError(
+                f"simulated device: got a plant of {axes} axes, expected {run.conversion.axes} as in limits"
+            )
         return SimulatedTransport(plant, run.dt_s, held, run.now_ns, self.sensor, self.seed)
 
 

@@ -209,6 +209,7 @@ def test_samples_of_two_axes_have_their_columns_and_cross_a_pipe() -> None:
         ({"sensor": {"kind": "none", "rest_deg": 0}}, "continuous"),
         ({"transport": {"kind": "dds"}}, "udp or simulated"),
         ({"realtime": {"backend": "c"}}, "expected python"),
+        ({"transport": {"kind": "simulated", "plant": {}, "sensor": {"kind": "none"}}}, "transport.sensor none"),
         ({"prepare": [{"step": "move", "to": [9.0, 0.0]}]}, "move to 9.0"),
         ({"prepare": [{"step": "flexure", "lower": 0, "upper": 1}]}, "flexure"),
         ({"reference": {"kind": "sinusoid_scan"}}, "reference"),

@@ -342,6 +342,18 @@ def test_a_model_that_does_not_fit_the_bench_is_refused_before_anything_moves(
     assert "\n" not in str(error.value)
 
 
+def test_a_plant_of_one_axis_and_a_transport_of_a_class_are_refused_before_anything_moves(tmp_path: Path) -> None:
+    model_in(tmp_path)
+    one = {"kind": "simulated", "plant": {"simulator": "builtin:tendon-catheter"}}
+    wanted = bench(tmp_path, 0, transport=one, prepare=[], rate_hz=RATE_HZ)
+    with pytest.raises(ConfigError, match="a plant of 1 axes, expected 2"):
+        run_bench(wanted, list, SampleList, plants_in(tmp_path, "mm"))
+    device = ScriptedPair(FakeClock(), [((0.0, 0.0), "true", 0)])
+    with pytest.raises(ConfigError, match="for two axes"):
+        run_bench(wanted, list, SampleList, plants_in(tmp_path, "mm"), transport=device)  # type: ignore[arg-type]
+    assert device.sent == []
+
+
 def test_a_file_of_one_axis_is_none_of_two(tmp_path: Path) -> None:
     model_in(tmp_path)
     one = {"limits": {"lower": 0, "upper": 6, "rate_per_s": 10}, "controller": {"model": "builtin:pi"}}
