@@ -37,6 +37,11 @@ def spread(value: Any, axes: int) -> tuple[float, ...]:
     return values if len(values) == axes else (math.nan,) * axes
 
 
+def like(other: PerAxis, value: PerAxis) -> PerAxis:
+    """The value, or not-a-number for all axes of the other one where its count is another."""
+    return value if not isinstance(other, tuple) else together(spread(value, len(other)))
+
+
 def rows_of(array: Vec) -> list[PerAxis]:
     """Numbers of an array (N,), or tuples of an array (N, 2)."""
     return [together(row) for row in array.tolist()] if array.ndim > 1 else array.tolist()
@@ -50,11 +55,13 @@ def from_array(value: Any) -> PerAxis:
 
 def is_known(value: PerAxis) -> bool:
     """Whether the value is finite in every axis."""
-    return all(map(math.isfinite, each(value)))
+    return all(map(math.isfinite, value)) if isinstance(value, tuple) else math.isfinite(value)
 
 
 def is_near(value: PerAxis, other: PerAxis, tolerance: float) -> bool:
     """Whether two values differ by `tolerance` at most in every axis; False for not-a-number, or another count."""
+    if not isinstance(value, tuple) and not isinstance(other, tuple):  # what is left is for two axes
+        return abs(value - other) <= tolerance
     here, there = each(value), each(other)
     return len(here) == len(there) and all(abs(a - b) <= tolerance for a, b in zip(here, there, strict=True))
 

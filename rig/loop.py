@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, final
 
-from .axes import PerAxis, each, in_words, is_known, is_near, spread, together
+from .axes import PerAxis, each, in_words, is_known, is_near, like
 from .experiment.phases import REMEMBERED, AwaitStart, Decision, Past, Phase, PhaseInput, SafeStop, place_frames
 from .histogram import Timings
 from .realtime import Clock
@@ -331,8 +331,7 @@ class ControlLoop:
             self._past_u.clear()
             self._past_y.clear()
         self._past_u.append(held)
-        angle = math.nan if seen.frames else seen.angle_deg
-        self._past_y.append(together(spread(angle, len(each(held)))))
+        self._past_y.append(like(held, math.nan if seen.frames else seen.angle_deg))
         place_frames(self._past_y, seen.frames, _S * self._dt_ns)
 
     def _times(self, woke: int, deadline: int) -> Times:
@@ -475,7 +474,7 @@ class ControlLoop:
         self, times: Times, period: int, seen: Observation, decision: Decision, u: PerAxis, faults: tuple[str, ...]
     ) -> Sample:
         limited, woke = not is_near(u, decision.u, 1e-9), times.woke
-        seen_any = any(map(math.isfinite, each(seen.angle_deg)))
+        seen_any = is_known(seen.angle_deg) or any(map(math.isfinite, each(seen.angle_deg)))
         return Sample(
             t_s=_S * (woke - self._start_ns),
             wall_ns=times.wall,

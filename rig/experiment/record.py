@@ -37,7 +37,7 @@ from hystmpc.trials.tables import LogTable, read_table
 from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Vec
 
-from ..axes import NAMES, PerAxis, each, from_array, rows_of, spread, together, trial_columns
+from ..axes import NAMES, PerAxis, each, from_array, like, rows_of, together, trial_columns
 from ..config import BenchSettings, located
 from ..live.desk import Desk, LiveSettings
 from ..plane_config import Both, PlaneBenchSettings, file_of_two_axes
@@ -90,7 +90,7 @@ class Recorded(Phase):
         if 0 < k <= count:
             self.sent[k - 1], self.reported[k - 1] = now.held, now.reported
             angle = now.angle_deg if self._late is None else math.nan
-            self.angles_deg[k - 1] = together(spread(angle, len(each(now.held))))
+            self.angles_deg[k - 1] = like(now.held, angle)
             self.times[k - 1] = k + self._skipped
         for frame in now.frames:
             taken = k + self._skipped - frame.age_s / self._dt

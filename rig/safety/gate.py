@@ -64,7 +64,7 @@ class Gate:
         """Admissible command nearest to the requested one at monotonic time `now_ns` [ns]; never raises."""
         elapsed_s, requested = self._elapsed_s(now_ns), spread(wanted, len(self._limits))
         pairs = zip(self._limits, requested, each(self.last), strict=True)
-        u = together(limits.clip(one, last, elapsed_s) for limits, one, last in pairs)
+        u = together([limits.clip(one, last, elapsed_s) for limits, one, last in pairs])
         self.clipped += not is_near(u, wanted, 1e-12)
         return u
 
@@ -78,7 +78,7 @@ class Gate:
 
     def sent(self, u: PerAxis, now_ns: int) -> None:
         """Record the command `u`, sent at `now_ns` [ns], as the start of the next rate limit."""
-        self.velocity = together((new - old) / self._dt for new, old in zip(each(u), each(self.last), strict=True))
+        self.velocity = together([(new - old) / self._dt for new, old in zip(each(u), each(self.last), strict=True)])
         self.last, self._sent_ns = u, now_ns
 
     def _elapsed_s(self, now_ns: int) -> float:

@@ -311,17 +311,17 @@ class Intake:
                     frames += [ObservedFrame(angle, _S * (now_ns - taken_ns)) for angle in plausible]
                 if accepted:
                     seen_ns = now_ns if continuous else taken_ns
-        for i, one in enumerate(angles):
-            if continuous and math.isnan(one.fresh) and not one.faults:
+        for i, one in enumerate(angles if continuous else ()):
+            if math.isnan(one.fresh) and not one.faults:
                 self._reject(faults, "no-angle", i)
         follows, stray = self._follows(command, now_ns)
         if not follows:
             self._reject(faults, "not-followed")
-        angle_deg = together(one.fresh for one in angles)
+        angle_deg = together([one.fresh for one in angles])
         self._dead = self._dead or stray or self._implausible_motion(angle_deg, seen_ns)
         self._dead = self._dead or self._silence(now_ns, len(readings))
         self.counts.update(faults)
-        age_s, shown_deg = _S * (now_ns - seen_ns), together(one.shown_deg for one in angles)
+        age_s, shown_deg = _S * (now_ns - seen_ns), together([one.shown_deg for one in angles])
         return Observation(
             angle_deg, tuple(dict.fromkeys(faults)), self._dead, self._held, follows, tuple(frames), age_s, shown_deg
         )
@@ -361,8 +361,9 @@ class Intake:
 
     def _begin(self, command: PerAxis, now_ns: int) -> None:
         """Start a sample, after the command sent last; a motion of either axis tells a frozen from a still sensor."""
-        before, now = each(self._command), spread(command, len(self._angles))
-        travel = sum(abs(new - old) for new, old in zip(now, before, strict=True))
+        now, travel = spread(command, len(self._angles)), 0.0
+        for new, old in zip(now, each(self._command), strict=True):
+            travel += abs(new - old)
         for one in self._angles:
             one.begin(travel if math.isfinite(travel) else 0.0)
         self._command = together(now)
@@ -390,10 +391,12 @@ class Intake:
     def _follows(self, command: PerAxis, now_ns: int) -> tuple[bool, str]:
         """Whether the drives of all axes follow, and the cause of a stop, empty without one."""
         axes = len(self._angles)
+        every, stray = True, ""
         pairs = zip(self._followed, spread(self._held, axes), spread(command, axes), strict=True)
-        judged = [drive.judge(held, sent, now_ns) for drive, held, sent in pairs]
-        stray = next((of_axis(cause, i, axes) for i, (_, cause) in enumerate(judged) if cause), "")
-        return all(follows for follows, _ in judged), stray
+        for i, (drive, held, sent) in enumerate(pairs):
+            follows, cause = drive.judge(held, sent, now_ns)
+            every, stray = every and follows, stray or of_axis(cause, i, axes)
+        return every, stray
 
     def _judged(self, reading: Reading, now_ns: int) -> tuple[str, int | None]:
         """Cause of a rejection of the whole reading (empty if there is none), and the time of measurement [ns].
@@ -455,8 +458,11 @@ class Intake:
     def _silence(self, now_ns: int, readings: int) -> str:
         """Cause of a stop for a missing angle or, without a sensor, for a silent device."""
         if self._settings.kind != "none":
-            causes = [one.silence(now_ns, readings) for one in self._angles]
-            return next((of_axis(cause, i, len(causes)) for i, cause in enumerate(causes) if cause), "")
+            dead, axes = "", len(self._angles)
+            for i, one in enumerate(self._angles):
+                cause = one.silence(now_ns, readings)
+                dead = dead or of_axis(cause, i, axes)
+            return dead
         silent_s = _S * (now_ns - self._angles[0].accepted_ns)
         silent = self._reports_held and silent_s > self._settings.silence_s
         return f"device silent: no word of what it holds for {silent_s:.2f} s" if silent else ""
