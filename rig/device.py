@@ -74,6 +74,8 @@ class DeviceSettings(Settings):
                 f"got fault {wrong[0].fault} of {wrong[0].of} with link {self.link.kind}, expected link udp: only "
                 "datagrams can be got at"
             )
+        if self.axes == 1 and any(fault.axis is not None for fault in self.faults):
+            raise ValueError("got a fault with the key axis, expected it for a device of two axes alone")
         return self
 
     @property

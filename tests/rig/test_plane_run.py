@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 
 from hystmpc.bench.device import plants_in
 from hystmpc.rig.axes import each, together
+from hystmpc.rig.device import DeviceSettings
 from hystmpc.rig.experiment.phases import CommandMotion
 from hystmpc.rig.experiment.plane import plane_tracking, run_plane_experiment
 from hystmpc.rig.experiment.plane_review import PlaneReview, review_bench_run
@@ -352,6 +353,19 @@ def test_a_plant_of_one_axis_and_a_transport_of_a_class_are_refused_before_anyth
     with pytest.raises(ConfigError, match="for two axes"):
         run_bench(wanted, list, SampleList, plants_in(tmp_path, "mm"), transport=device)  # type: ignore[arg-type]
     assert device.sent == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"faults": [{"fault": "nan", "axis": "y"}]}, "two axes alone"),
+        ({"faults": [{"fault": "delay", "axis": "y"}]}, "of a fault of the angle"),
+    ],
+)
+def test_a_fault_of_one_angle_is_refused_where_it_would_do_nothing(changes: dict[str, Any], words: str) -> None:
+    plain = {"rate_hz": 25, "command_unit": "mm", "plant": {}, "link": {"kind": "udp"}}
+    with pytest.raises(ConfigError, match=words):
+        DeviceSettings.parse(plain | {"limits": {"lower": 0, "upper": 6, "rate_per_s": 10}} | changes)
 
 
 def test_a_file_of_one_axis_is_none_of_two(tmp_path: Path) -> None:
