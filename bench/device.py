@@ -8,12 +8,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event, Thread
-from typing import Any, Protocol, final
+from typing import Any, Protocol, cast, final
 
 import numpy as np
 
 from hystmpc.ctrl.loop import Plant
 from hystmpc.ctrl.planner.settings import TipSettings
+from hystmpc.rig.axes import PerAxis, from_array
 from hystmpc.rig.config import BenchSettings, RunSettings
 from hystmpc.rig.experiment.experiment import tracking_phase
 from hystmpc.rig.experiment.phases import CommandMotion, Phase
@@ -288,20 +289,23 @@ def _free(folder: Path, name: str) -> Path:
 _NOISE_DEG = 0.05  # default: an angle that never changes would be taken for a dead sensor
 
 
-def make_plant(settings: Mapping[str, Any], dt_s: float, seed: int, folder: Path, unit: str) -> tuple[Plant, float]:
+def make_plant(settings: Mapping[str, Any], dt_s: float, seed: int, folder: Path, unit: str) -> tuple[Plant, PerAxis]:
     """Build the plant of a block `plant` and return it with its held command after a reset.
 
     The block has `simulator` or `device`, parameters and effects. Relative file names start at `folder`; `seed` is that
-    of the noise, `unit` the required one of the command.
+    of the noise, `unit` the required one of the command. A simulator of two axes gives a plant of two commands.
 
     Raises:
         ConfigError: on an unknown device, key or parameter, a value out of bounds, or another unit.
         ModelError: if a simulator file is missing or unusable.
     """
     from hystmpc.models.load import model_path  # simulators take long to import, and most benches have a device
+    from hystmpc.models.two_axes.model import has_two_axes
     from hystmpc.sim.config import PlantSettings
     from hystmpc.sim.plants.device import make_plant as make
 
+    if has_two_axes(folder / str(settings.get("simulator"))):
+        return _plane_plant(settings, dt_s, seed, folder, unit)
     noise = {"noise_deg": _NOISE_DEG} if "device" in settings else {}
     block = PlantSettings.parse(noise | dict(settings), "plant")
     if block.simulator is not None:
@@ -312,10 +316,25 @@ def make_plant(settings: Mapping[str, Any], dt_s: float, seed: int, folder: Path
     return plant, plant.rest_command
 
 
+def _plane_plant(settings: Mapping[str, Any], dt_s: float, seed: int, folder: Path, unit: str) -> tuple[Plant, PerAxis]:
+    from hystmpc.models.two_axes.model import AXES, load_two_axes
+    from hystmpc.sim.two_axes.config import TwoAxisPlantSettings
+    from hystmpc.sim.two_axes.plant import TwoAxisPlant
+
+    block = TwoAxisPlantSettings.parse({"noise_deg": _NOISE_DEG} | dict(settings), "plant")
+    model = load_two_axes(folder / block.simulator).at_sample_time(dt_s)
+    if (count := len(model.command_limits)) != AXES:
+        raise ConfigError(f"plant: got a model of {count} commands, expected two: Clarke's coordinates of tendons")
+    plant = TwoAxisPlant(model, block, seed)
+    if plant.command_unit != unit:
+        raise ConfigError(f"plant: got a device with commands in {plant.command_unit}, expected command_unit {unit}")
+    return cast(Plant, plant), from_array(plant.rest_command)  # the loop passes on what it gets
+
+
 def plants_in(folder: Path, unit: str) -> PlantFactory:
     """Factory of simulated devices for the transport `kind: simulated`."""
 
-    def made(settings: SimulatedSettings, dt_s: float) -> tuple[Plant, float]:
+    def made(settings: SimulatedSettings, dt_s: float) -> tuple[Plant, PerAxis]:
         return make_plant(settings.plant, dt_s, settings.seed, folder, unit)
 
     return made

@@ -20,10 +20,11 @@ if TYPE_CHECKING:
     from hystmpc.bench.commission import Commissioned
     from hystmpc.bench.rounds import Investigated
     from hystmpc.rig.config import BenchSettings, RunSettings
-    from hystmpc.rig.experiment.record import RecordSettings
+    from hystmpc.rig.experiment.record import AnyRecordSettings
     from hystmpc.rig.histogram import TimingSummary
     from hystmpc.rig.live.desk import Desk
     from hystmpc.rig.loop import RunOutcome
+    from hystmpc.rig.plane_config import PlaneRunSettings
     from hystmpc.rig.recording.recorder_process import RecorderProcess
     from hystmpc.rig.recording.recording import RecordingMeta
     from hystmpc.rig.run import BenchResult
@@ -45,30 +46,35 @@ def run(call: Call) -> None:
     from hystmpc.bench.device import plants_in
     from hystmpc.rig.config import load_run
     from hystmpc.rig.experiment.experiment import run_experiment
+    from hystmpc.rig.experiment.plane import run_plane_experiment
     from hystmpc.rig.live.desk import Desk
+    from hystmpc.rig.plane_config import PlaneRunSettings, file_of_two_axes, load_plane_run
     from hystmpc.rig.recording.recording import RecordingMeta
 
-    settings = _begun(call, load_run)
+    load: Callable[..., RunSettings | PlaneRunSettings] = load_plane_run if file_of_two_axes(call.config) else load_run
+    settings = _begun(call, load)
     model, desk = settings.controller.model, Desk(settings.live)
     meta = RecordingMeta(
         settings.command_unit,
         models=() if model.startswith("builtin:") else (Path(model),),
         stages=("step", "total", "execution"),
+        axes=len(settings.axes_limits),
     )
-    result = run_experiment(
-        settings,
+    parts = (
         _recording(call, settings, meta, desk, report=False),  # the review writes the one report there is
         plants_in(call.config.resolve().parent, settings.command_unit),
-        folder=call.out,
-        note=say,
-        desk=desk,
     )
+    more = {"folder": call.out, "note": say, "desk": desk}
+    if isinstance(settings, PlaneRunSettings):
+        result = run_plane_experiment(settings, *parts, **more)
+    else:
+        result = run_experiment(settings, *parts, **more)
     _print_outcome(settings, result)
-    from hystmpc.rig.experiment.review import review_run  # matplotlib takes a second to import: after the run
+    from hystmpc.rig.experiment.plane_review import review_bench_run  # matplotlib takes a second: after the run
 
     report = call.out / "report.html"
     try:
-        review = review_run(call.out)
+        review = review_bench_run(call.out)
     except OSError as error:  # a full disk must not hide how the run ended
         say(f"{report}: not written ({error.strerror}), `hystmpc report {call.out}` makes it once there is room")
     else:
@@ -92,9 +98,10 @@ def record(call: Call) -> None:
 
     settings = _begun(call, load_record)
     desk = Desk(settings.live)
+    meta = RecordingMeta(settings.command_unit, stages=("execution",), axes=len(settings.axes_limits))
     result = play(
         settings,
-        _recording(call, settings, RecordingMeta(settings.command_unit, stages=("execution",)), desk),
+        _recording(call, settings, meta, desk),
         plants_in(call.config.resolve().parent, settings.command_unit),
         call.out,
         note=say,
@@ -123,7 +130,11 @@ def _begun(call: Call, load: Callable[..., S]) -> S:
 
 
 def _recording(
-    call: Call, settings: RunSettings | RecordSettings, meta: RecordingMeta, desk: Desk, report: bool = True
+    call: Call,
+    settings: RunSettings | PlaneRunSettings | AnyRecordSettings,
+    meta: RecordingMeta,
+    desk: Desk,
+    report: bool = True,
 ) -> Callable[[], RecorderProcess]:
     """Function that opens the recording after the device's answer, and prints the address of the page."""
     from hystmpc.rig.recording.recorder_process import Views, open_recorder_process
@@ -161,7 +172,9 @@ def _print_outcome(settings: BenchSettings, result: BenchResult) -> None:
 
 def _end_of(settings: BenchSettings, outcome: RunOutcome) -> str:
     """Sentence on the safe command: sent, confirmed by the device, or neither."""
-    safe = f"safe command {settings.safe_command:g} {settings.command_unit}"
+    from hystmpc.rig.axes import in_words
+
+    safe = f"safe command {in_words(settings.safe_command, 'g')} {settings.command_unit}"
     if math.isnan(outcome.safe_s):
         return f"{safe} not sent: the device's own watchdog has to act, look at the device"
     took = f"{outcome.safe_s - outcome.stop_s:.2f} s later"
@@ -290,10 +303,13 @@ def device(
 ) -> None:
     """The simulated device listens until Ctrl-C, on the loopback unless the file has another address."""
     from hystmpc.bench.device import make_plant
-    from hystmpc.rig.device import DeviceSettings, serve
+    from hystmpc.rig.axes import in_words
+    from hystmpc.rig.device import DeviceSettings, PlaneDeviceSettings, serve
+    from hystmpc.rig.plane_config import file_of_two_axes
     from hystmpc.trials.config import load_settings
 
-    settings = load_settings(DeviceSettings, config, overrides or ())
+    kind = PlaneDeviceSettings if file_of_two_axes(config) else DeviceSettings
+    settings = load_settings(kind, config, overrides or ())
     folder = config.resolve().parent
     if settings.log is not None:
         settings = settings.model_copy(update={"log": folder / settings.log})
@@ -302,7 +318,7 @@ def device(
     def ready(link: DeviceLink) -> None:
         port = getattr(link, "port", None)
         where = "dds" if port is None else f"udp port {port}"
-        line(f"device ready: {where}, {settings.rate_hz:g} Hz, holds {held:g} {settings.command_unit}")
+        line(f"device ready: {where}, {settings.rate_hz:g} Hz, holds {in_words(held, 'g')} {settings.command_unit}")
 
     served = serve(settings, plant, held, ready, seconds or float("inf"), say)
     rejected = ", ".join(f"{count} {cause}" for cause, count in served.rejected.items()) or "none"

@@ -32,10 +32,19 @@ FILES: Mapping[str, tuple[str, str]] = MappingProxyType(
         "tip": ("hystmpc.ctrl.planner.settings:TipSettings", "a `TipController`"),
         "controller": ("hystmpc.ctrl.config:ControllerSettings", "one controller, of `hystmpc simulate --controller`"),
         "run": ("hystmpc.rig.config:RunSettings", "an experiment of `hystmpc run`"),
+        "run-two-axes": ("hystmpc.rig.plane_config:PlaneRunSettings", "an experiment of two axes, of `hystmpc run`"),
         "record": ("hystmpc.rig.experiment.record:RecordSettings", "recordings of `hystmpc record`"),
+        "record-two-axes": (
+            "hystmpc.rig.experiment.record:PlaneRecordSettings",
+            "recordings of two axes, of `hystmpc record`",
+        ),
         "commission": ("hystmpc.bench.config:CommissionSettings", "a device of `hystmpc commission`"),
         "investigate": ("hystmpc.bench.config:InvestigateSettings", "a device of `hystmpc investigate`"),
         "device": ("hystmpc.rig.device:DeviceSettings", "a simulated device of `hystmpc device`"),
+        "device-two-axes": (
+            "hystmpc.rig.device:PlaneDeviceSettings",
+            "a simulated device of two axes, of `hystmpc device`",
+        ),
         "layout": ("hystmpc.trials.layouts:LogMapping", "a layout of logs, of `--layout FILE.yaml`"),
         "simulator": ("hystmpc.models.simulator:SimulatorFile", "a simulator that `hystmpc fit` writes"),
     }

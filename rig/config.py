@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
-from hystmpc.ctrl.command import LimitsSettings, ModelledLimitsSettings
+from hystmpc.ctrl.command import CommandLimits, LimitsSettings, ModelledLimitsSettings
 from hystmpc.ctrl.config import sensor_fault, with_sensor_facts
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.ctrl.planner.settings import TipSettings
@@ -19,6 +19,7 @@ from hystmpc.trials.config import FolderName, NotNegative, Positive, Settings, l
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.from_outside import with_kind
 
+from .axes import each
 from .experiment.phases import PrepareStep, PretensionSettings
 from .live.desk import LiveSettings
 from .realtime import RealtimeSettings
@@ -88,19 +89,20 @@ class BenchSettings(Settings):
 
     @model_validator(mode="after")
     def _inside(self) -> BenchSettings:
-        low, high = self.limits.lower, self.limits.upper
+        limits = self.axes_limits
         wanted = {"safe_command": self.safe_command, "start_command": self.start_command}
-        for name, value in wanted.items():
-            if value is not None and not low <= value <= high:
-                raise ValueError(f"got {name} {value}, expected it within limits {low} to {high}")
+        for name, values in wanted.items():
+            for value, one in zip(() if values is None else each(values), limits, strict=False):
+                if not one.lower <= value <= one.upper:
+                    raise ValueError(f"got {name} {value}, expected it within limits {one.lower} to {one.upper}")
         if self.sensor.kind == "none" and any(isinstance(step, PretensionSettings) for step in self.prepare):
             raise ValueError("got prepare step pretension_check with sensor.kind none, expected steps without an angle")
-        if self.ramps.velocity_per_s > self.limits.rate_per_s:
+        slowest = min(one.rate for one in limits)
+        if self.ramps.velocity_per_s > slowest:
             raise ValueError(
-                f"got ramps.velocity_per_s {self.ramps.velocity_per_s}, expected at most limits.rate_per_s "
-                f"{self.limits.rate_per_s}"
+                f"got ramps.velocity_per_s {self.ramps.velocity_per_s}, expected at most limits.rate_per_s {slowest}"
             )
-        brake, rate = self.ramps.brake_per_s2, self.limits.rate_per_s
+        brake, rate = self.ramps.brake_per_s2, max(one.rate for one in limits)
         if brake is not None and rate**2 / (2.0 * brake) > self.overshoot * (1 + 1e-9):
             raise ValueError(
                 f"got ramps.brake_per_s2 {brake:g}, with which a stop from {rate:g} per s goes on for v^2 / (2 a) = "
@@ -110,9 +112,14 @@ class BenchSettings(Settings):
         return self
 
     @property
+    def axes_limits(self) -> tuple[CommandLimits, ...]:
+        """Limits of the command of each axis."""
+        return each(self.limits.build())
+
+    @property
     def overshoot(self) -> float:
-        """Greatest overshoot of a stop in the direction of motion [mm or bar]."""
-        return self.stop_overshoot or min(0.2, 0.02 * (self.limits.upper - self.limits.lower))
+        """Greatest overshoot of a stop in the direction of motion [mm or bar]; the same for both axes of two."""
+        return self.stop_overshoot or min(0.2, 0.02 * min(one.upper - one.lower for one in self.axes_limits))
 
     @property
     def dt_s(self) -> float:

@@ -14,20 +14,21 @@ from typing import Annotated, Any, Generic, Literal, TextIO, TypeVar, final, get
 
 from pydantic import Field, model_validator
 
-from hystmpc.ctrl.command import LimitsSettings
+from hystmpc.ctrl.command import CommandLimits, LimitsSettings
 from hystmpc.ctrl.loop import ContinuousSensorSettings, Imaging, ImagingSettings, Plant, SimulatedSensor
 from hystmpc.trials.config import NotNegative, Positive, Settings
 from hystmpc.trials.errors import ConfigError
 
+from .axes import NAMES, PerAxis, PlaneLimitsSettings, columns, each, from_array, is_known, spread, together
 from .realtime import MonotonicClock, SchedulingSettings, scheduled
 from .safety.stop import StopFlag, stopping_on_signals
 from .transports.dds import DdsSettings
-from .transports.transport import Conversion, Datagrams, DeviceLink, Outgoing, Peer, WireUnits
-from .transports.udp import Datagram, Kind, UdpListenSettings, decode
+from .transports.transport import Conversion, Datagrams, DeviceLink, Outgoing, Peer, PlaneWireUnits, WireUnits
+from .transports.udp import SIZES, Datagram, Kind, UdpListenSettings, decode
 
 _MESSAGES = 64  # greatest number in one sample
 _AT_REST = 1e-3  # of the range
-_HEADER = "monotonic_ns,time_s,received,held,angle_deg\n"  # of the log
+_LOGGED = ("received", "held", "angle_deg")  # columns of the log, behind both times
 
 
 class DeviceSettings(Settings):
@@ -73,12 +74,36 @@ class DeviceSettings(Settings):
                 f"got fault {wrong[0].fault} of {wrong[0].of} with link {self.link.kind}, expected link udp: only "
                 "datagrams can be got at"
             )
+        if self.axes == 1 and any(fault.axis is not None for fault in self.faults):
+            raise ValueError("got a fault with the key axis, expected it for a device of two axes alone")
         return self
 
     @property
     def dt_s(self) -> float:
         """Sample time [s]."""
         return 1.0 / self.rate_hz
+
+    @property
+    def axes(self) -> int:
+        """Number of bending axes."""
+        return len(each(self.limits.build()))
+
+
+class PlaneDeviceSettings(DeviceSettings):
+    """Settings of a simulated device of two axes in a separate process (`hystmpc device`).
+
+    Attributes:
+        plant: a model of two axes and its changes, as `plant` in a simulation file of two axes.
+        sensor: both angles in every message.
+        limits: of both drives, a list each; commands beyond are clipped and counted.
+        wire: units on the wire.
+        link: address of the device.
+    """
+
+    sensor: ContinuousSensorSettings = ContinuousSensorSettings()  # pyright: ignore[reportIncompatibleVariableOverride]
+    limits: PlaneLimitsSettings  # type: ignore[assignment]  # pyright: ignore[reportIncompatibleVariableOverride]  # settings are frozen
+    wire: PlaneWireUnits = PlaneWireUnits()  # pyright: ignore[reportIncompatibleVariableOverride]
+    link: UdpListenSettings  # pyright: ignore[reportIncompatibleVariableOverride]
 
 
 @dataclass(frozen=True)
@@ -100,7 +125,7 @@ def open_link(settings: DeviceSettings) -> DeviceLink:
         return FaultyDatagrams(wire, settings.faults, settings.seed)
 
     faulty = any(fault.of_datagrams for fault in settings.faults)
-    return settings.link.listen(settings.watchdog_s, through if faulty else None)
+    return settings.link.listen(settings.watchdog_s, through if faulty else None, settings.axes)
 
 
 @final
@@ -111,8 +136,10 @@ class SimulatedDevice:
     until a controller greets anew or, on a wire without greetings, until a command equals the drive's position. The
     return lasts until the first accepted command. A goodbye ends the watchdog's count, but only at rest.
 
+    A device of two axes has a drive for each. One watchdog returns both.
+
     Args:
-        held: the command that it holds after its reset, and returns to.
+        held: the command that it holds after its reset, and returns to; of two axes a tuple.
         log: gets a line a sample: time since the start, command received (NaN for none), command applied, angle.
 
     Raises:
@@ -120,19 +147,19 @@ class SimulatedDevice:
     """
 
     def __init__(
-        self, settings: DeviceSettings, plant: Plant, held: float, link: DeviceLink, log: TextIO | None = None
+        self, settings: DeviceSettings, plant: Plant, held: PerAxis, link: DeviceLink, log: TextIO | None = None
     ) -> None:
         if abs(plant.dt * settings.rate_hz - 1) > 1e-6:
             raise ConfigError(f"device: got a plant at {1 / plant.dt:g} Hz, expected rate_hz {settings.rate_hz:g}")
-        self._limits = settings.limits.build()
+        self._limits: tuple[CommandLimits, ...] = each(settings.limits.build())
         self._settings, self._plant, self._link, self._log = settings, plant, link, log
-        self._conversion = Conversion.of(settings.wire, settings.command_unit)
+        self._conversion = Conversion.of(settings.wire, settings.command_unit, settings.axes)
         self._wire = FaultyReadings(settings.faults, settings.seed)
         self._dt, self._rest, self._held, self._target = settings.dt_s, held, held, held
         self._silent, self._first = math.inf, math.nan
         self._awaits_greeting = False
         self._samples = self._commands = self._beyond = self._trips = self._unheard = 0
-        self._angle = plant.reset()
+        self._angle = from_array(plant.reset())
         sensor = settings.sensor
         self._imaging: Imaging | None = None
         if isinstance(sensor, ImagingSettings):
@@ -156,11 +183,12 @@ class SimulatedDevice:
     def sample(self, t_s: float) -> None:
         """Execute one sample: receive commands, move, measure, and send the readings after fault injection."""
         received = self._receive()
-        if math.isfinite(received):
+        if is_known(received):
             self._first = t_s if math.isnan(self._first) else self._first
         self._run_watchdog()
-        self._held = self._limits.clip(self._target, self._held, self._dt)
-        self._angle = self._plant.apply(self._held)
+        drives = zip(self._limits, each(self._target), each(self._held), strict=True)
+        self._held = together(limits.clip(target, held, self._dt) for limits, target, held in drives)
+        self._angle = from_array(self._plant.apply(self._held))
         since = t_s - self._first if math.isfinite(self._first) else -1.0
         held, now_ns = self._conversion.raw_command(self._held), time.monotonic_ns()
         for angle, taken_s in self._measure(t_s):
@@ -171,10 +199,12 @@ class SimulatedDevice:
         for message in self._wire.due(since):
             self._link.send(message)
         if self._log is not None:
-            self._log.write(f"{time.monotonic_ns()},{t_s:.6f},{received!r},{self._held!r},{self._angle!r}\n")
+            values = spread(received, self._conversion.axes), each(self._held), each(self._angle)
+            numbers = ",".join(repr(one) for value in values for one in value)
+            self._log.write(f"{time.monotonic_ns()},{t_s:.6f},{numbers}\n")
         self._samples += 1
 
-    def _measure(self, t_s: float) -> list[tuple[float, float]]:
+    def _measure(self, t_s: float) -> list[tuple[PerAxis, float]]:
         """Angles [deg] to send in this sample, at least one entry, and the times of their measurement [s]."""
         if isinstance(self._settings.sensor, ContinuousSensorSettings):
             return [(self._angle, t_s)]
@@ -183,9 +213,9 @@ class SimulatedDevice:
         frames, self._imaging = self._imaging.later(t_s, self._angle)
         return [*((frame.angle_deg, frame.taken_s) for frame in frames), (math.nan, t_s)]
 
-    def _receive(self) -> float:
+    def _receive(self) -> PerAxis:
         """Newest accepted command of this sample; NaN if there is none."""
-        newest = math.nan
+        newest: PerAxis = math.nan
         for _ in range(_MESSAGES):
             message = self._link.receive()
             if message is None:
@@ -200,19 +230,21 @@ class SimulatedDevice:
 
     def _goodbye(self) -> None:
         """End the watchdog's count if the drive is at rest."""
-        if abs(self._held - self._rest) <= _AT_REST * (self._limits.upper - self._limits.lower):
+        drives = zip(self._limits, each(self._held), each(self._rest), strict=True)
+        if all(abs(held - rest) <= _AT_REST * (limits.upper - limits.lower) for limits, held, rest in drives):
             self._silent = math.inf
 
-    def _taken(self, command: float, newest: float) -> float:
+    def _taken(self, command: PerAxis, newest: PerAxis) -> PerAxis:
         """Set and return the target command; refuse it after a watchdog action without a new greeting."""
-        low, high = self._limits.lower, self._limits.upper
+        drives = list(zip(self._limits, each(command), each(self._held), strict=True))
         if self._awaits_greeting and not self._link.greeted:
-            self._awaits_greeting = abs(command - self._held) > self._limits.rate * self._dt
+            self._awaits_greeting = any(abs(one - held) > limits.rate * self._dt for limits, one, held in drives)
         if self._awaits_greeting:
             self._unheard += 1
             return newest
-        slack = 1e-9 * (high - low)
-        self._beyond += not low - slack <= command <= high + slack
+        slacks = [1e-9 * (limits.upper - limits.lower) for limits in self._limits]
+        pairs = zip(drives, slacks, strict=True)
+        self._beyond += not all(limits.lower - s <= one <= limits.upper + s for (limits, one, _), s in pairs)
         self._target, self._silent = command, 0.0
         self._commands += 1
         return command
@@ -228,13 +260,14 @@ class SimulatedDevice:
         self._trips += trips
         self._awaits_greeting = self._awaits_greeting or trips
         step = self._settings.watchdog_rate_per_s * self._dt
-        self._target = self._held + min(max(self._rest - self._held, -step), step)
+        drives = zip(each(self._held), each(self._rest), strict=True)
+        self._target = together(held + min(max(rest - held, -step), step) for held, rest in drives)
 
 
 def serve(
     settings: DeviceSettings,
     plant: Plant,
-    held: float,
+    held: PerAxis,
     ready: Callable[[DeviceLink], None],
     duration_s: float = math.inf,
     note: Callable[[str], None] = lambda text: None,
@@ -252,7 +285,7 @@ def serve(
     log = None
     try:
         if settings.log is not None:
-            log = _open_log(settings.log)
+            log = _open_log(settings.log, settings.axes)
         device = SimulatedDevice(settings, plant, held, link, log)
         with stopping_on_signals(flag), scheduled(settings.realtime) as notes:
             ready(link)
@@ -265,19 +298,21 @@ def serve(
             log.close()
 
 
-def _open_log(path: Path) -> TextIO:
+def _open_log(path: Path, axes: int) -> TextIO:
+    of_axes = [column for name in _LOGGED for column in columns(name, math.nan, axes)]
+    header = ",".join(["monotonic_ns", "time_s", *of_axes]) + "\n"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         log = path.open("a+", encoding="utf-8", buffering=1)
         log.seek(0)
-        begins = log.read(len(_HEADER))
+        begins = log.read(len(header))
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or error
         raise ConfigError(f"{path}: cannot be written ({reason}), expected a place to log") from None
-    if begins not in ("", _HEADER):
+    if begins not in ("", header):
         log.close()
         raise ConfigError(f"{path}: is another kind of file, expected a device's log or a new file")
-    log.write(_HEADER)
+    log.write(header)
     return log
 
 
@@ -305,6 +340,7 @@ class FaultSettings(Settings):
             `nan`; `outlier` adds `size_deg` with a random sign; `stamp_jump` shifts the sender's clock by `delay_s`, of
             either sign; `out_of_range` sends 10 000 deg.
         of: direction of the affected messages.
+        axis: x or y, of a fault of the angle that one of two axes has alone; null for all.
         start_s: start, counted from the first command.
         duration_s: duration.
         share: of the messages that are affected.
@@ -315,6 +351,7 @@ class FaultSettings(Settings):
 
     fault: FaultName
     of: Direction = "readings"
+    axis: Literal["x", "y"] | None = None
     start_s: NotNegative = 0.0
     duration_s: NotNegative = 1e9
     share: float = Field(default=1.0, gt=0, le=1)
@@ -327,6 +364,8 @@ class FaultSettings(Settings):
         known = get_args(_WireFault)
         if self.of == "commands" and self.fault not in known:
             raise ValueError(f"got fault {self.fault} of commands, available for them: {', '.join(known)}")
+        if self.axis is not None and self.fault in (*known, "stamp_jump"):
+            raise ValueError(f"got axis {self.axis} of fault {self.fault}, expected it of a fault of the angle alone")
         return self
 
     @property
@@ -408,22 +447,31 @@ class FaultyReadings:
     def put(self, message: Outgoing, t_s: float) -> None:
         """Add a reading that is measured at `t_s` [s] after the first command."""
         self._line.put(message, t_s)
-        if math.isfinite(message.angle) and not any(f.fault in _STANDING for f in self._line.active(t_s)):
+        if is_known(message.angle) and not any(f.fault in _STANDING for f in self._line.active(t_s)):
             self._last = message.angle
 
     def _changed_content(self, fault: FaultSettings, message: Outgoing) -> Outgoing:
         if fault.fault == "stamp_jump":
             return replace(message, stamp_ns=max(0, message.stamp_ns + round(_NS * fault.delay_s)))
+        angles = each(message.angle)
+        pairs = zip(NAMES, angles, spread(self._last, len(angles)), strict=False)
+        changed = (
+            self._changed_angle(fault, angle, last) if fault.axis in (None, name) else angle
+            for name, angle, last in pairs
+        )
+        return replace(message, angle=together(changed))
+
+    def _changed_angle(self, fault: FaultSettings, angle: float, last: float) -> float:
         if fault.fault in ("blocked", "dislodged"):
             shift = fault.size_deg if fault.fault == "dislodged" else 0.0
-            return replace(message, angle=self._last + shift + self._random.gauss(0.0, fault.noise_deg))
+            return last + shift + self._random.gauss(0.0, fault.noise_deg)
         values = {
-            "freeze": self._last,
+            "freeze": last,
             "nan": math.nan,
-            "outlier": message.angle + self._random.choice((-1.0, 1.0)) * fault.size_deg,
+            "outlier": angle + self._random.choice((-1.0, 1.0)) * fault.size_deg,
             "out_of_range": 1e4,
         }
-        return replace(message, angle=values[fault.fault])
+        return values[fault.fault]
 
 
 @final
@@ -475,7 +523,8 @@ class FaultyDatagrams:
         self._wire.close()
 
     def _begin(self, data: bytes) -> None:
-        if not self._first_ns and isinstance(message := decode(data), Datagram) and message.kind is Kind.COMMAND:
+        axes = next((axes for axes, size in SIZES.items() if size == len(data)), 1)
+        if not self._first_ns and isinstance(message := decode(data, axes), Datagram) and message.kind is Kind.COMMAND:
             self._first_ns = time.monotonic_ns()
 
     def _elapsed_s(self) -> float:

@@ -9,6 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, final
 
+from .axes import PerAxis, each, in_words, is_known, is_near, like
 from .experiment.phases import REMEMBERED, AwaitStart, Decision, Past, Phase, PhaseInput, SafeStop, place_frames
 from .histogram import Timings
 from .realtime import Clock
@@ -100,8 +101,8 @@ class ControlLoop:
         self.faults: Counter[str] = Counter()
         self._phase: Phase | None = None
         self._rest: deque[Phase] = deque()
-        self._past_u: deque[float] = deque(maxlen=REMEMBERED)
-        self._past_y: deque[float] = deque(maxlen=REMEMBERED)
+        self._past_u: deque[PerAxis] = deque(maxlen=REMEMBERED)
+        self._past_y: deque[PerAxis] = deque(maxlen=REMEMBERED)
         self._start_ns = self._woke_ns = self._boot_ns = self._deadline_ns = 0
         self._wire_ns = self._behind_ns = 0  # duration of transport calls, and the resulting delay
         self._discarded = 0  # readings before the first sample
@@ -291,8 +292,8 @@ class ControlLoop:
     def _wait(self, woke: int, deadline: int, seen: Observation, stop: str) -> bool:
         """Send nothing in this sample while the held command is unknown; return False if the run is given up."""
         over = self._anchor.given_up or (stop if not self._commands else "")
-        held = seen.held if math.isfinite(seen.held) else self._gate.last
-        if math.isfinite(held):
+        held = seen.held if is_known(seen.held) else self._gate.last
+        if is_known(held):
             self._remember(held, seen)
         began = self._clock.now_ns()
         try:
@@ -324,19 +325,21 @@ class ControlLoop:
         self._cause = self._cause or cause
         return False
 
-    def _remember(self, held: float, seen: Observation) -> None:
+    def _remember(self, held: PerAxis, seen: Observation) -> None:
         """Append the sample to the history for a controller that starts later."""
         if isinstance(self._phase, AwaitStart):  # the device rests: a wait of any length counts as one sample
             self._past_u.clear()
             self._past_y.clear()
         self._past_u.append(held)
-        self._past_y.append(math.nan if seen.frames else seen.angle_deg)
+        self._past_y.append(like(held, math.nan if seen.frames else seen.angle_deg))
         place_frames(self._past_y, seen.frames, _S * self._dt_ns)
 
     def _times(self, woke: int, deadline: int) -> Times:
         return Times(woke, deadline, self._clock.now_ns(), self._clock.wall_ns())
 
-    def _conclude(self, times: Times, seen: Observation, decision: Decision, u: float, faults: tuple[str, ...]) -> None:
+    def _conclude(
+        self, times: Times, seen: Observation, decision: Decision, u: PerAxis, faults: tuple[str, ...]
+    ) -> None:
         period = times.woke - self._woke_ns
         if self._sequence:
             self.timings.period.add(_S * period)
@@ -350,7 +353,7 @@ class ControlLoop:
             faults = (*faults, "wire-slow")
         self.faults.update(faults)
         self._faultless = 0 if faults else self._faultless + 1
-        if math.isfinite(u):  # before the first contact there is nothing to record
+        if is_known(u):  # before the first contact there is nothing to record
             record = self._record(times, period, seen, decision, u, faults)
             try:
                 self._sink.put(record)
@@ -408,7 +411,7 @@ class ControlLoop:
                     phase.begin(now, Past(list(self._past_u), list(self._past_y)))
                     self._phase = phase
                 decision = self._phase.step(now)
-                wrong, _ = decision.fault, float(decision.u)
+                wrong, _ = decision.fault, [float(u) for u, _ in zip(each(decision.u), each(now.held), strict=True)]
             except Exception as error:  # noqa: BLE001 - phases run foreign code; the loop must end at rest
                 self._begin_stop(cause_of(error), now)
                 continue
@@ -426,7 +429,7 @@ class ControlLoop:
         phase.begin(now, Past([], []))
         self._phase = phase
 
-    def _send(self, u: float) -> bool:
+    def _send(self, u: PerAxis) -> bool:
         """Send a command; return False if it was not sent."""
         if not self._anchor.in_time(self._clock.boot_ns()):
             self._not_sent += 1
@@ -443,7 +446,7 @@ class ControlLoop:
         self._command_sent(u, now)
         return True
 
-    def _command_sent(self, u: float, at: int) -> None:
+    def _command_sent(self, u: PerAxis, at: int) -> None:
         self._gate.sent(u, at)
         self._anchor.sent()
         self._commands += 1
@@ -468,9 +471,10 @@ class ControlLoop:
         self._sequence += samples
 
     def _record(
-        self, times: Times, period: int, seen: Observation, decision: Decision, u: float, faults: tuple[str, ...]
+        self, times: Times, period: int, seen: Observation, decision: Decision, u: PerAxis, faults: tuple[str, ...]
     ) -> Sample:
-        limited, woke = not abs(u - decision.u) <= 1e-9, times.woke
+        limited, woke = not is_near(u, decision.u, 1e-9), times.woke
+        seen_any = is_known(seen.angle_deg) or any(map(math.isfinite, each(seen.angle_deg)))
         return Sample(
             t_s=_S * (woke - self._start_ns),
             wall_ns=times.wall,
@@ -478,7 +482,7 @@ class ControlLoop:
             measured_deg=seen.angle_deg,
             command=u,
             source=decision.source,
-            status=f"{decision.status}; limited from {decision.u:.6g}" if limited else decision.status,
+            status=f"{decision.status}; limited from {in_words(decision.u)}" if limited else decision.status,
             predicted_deg=decision.predicted_deg,
             stages_s=(*decision.stages_s, ("execution", _S * (times.done - woke))),
             period_s=_S * period,
@@ -486,7 +490,7 @@ class ControlLoop:
             missed=self._late,
             faults=faults,
             sequence=self._sequence,
-            taken_s=_S * (woke - self._start_ns) - seen.age_s if math.isfinite(seen.angle_deg) else math.nan,
+            taken_s=_S * (woke - self._start_ns) - seen.age_s if seen_any else math.nan,
         )
 
 

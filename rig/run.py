@@ -10,10 +10,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import final
 
+import numpy as np
+
 from hystmpc.trials.errors import ConfigError, TrajectoryError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.types import Vec
 
+from .axes import PerAxis, each, in_words, is_known, is_near, together
 from .config import BenchSettings
 from .experiment.phases import REPEATS, AwaitStart, Phase, SafeStop
 from .histogram import Timings
@@ -23,7 +26,7 @@ from .realtime import Clock, MonotonicClock, control_process
 from .recording.sample import Sink
 from .safety.gate import Anchor, Gate
 from .safety.intake import Intake
-from .safety.plausibility import MotionWatch
+from .safety.plausibility import AxesFrame, MotionWatch, PlaneWatch, Watch
 from .safety.ramp import stop_commands
 from .safety.stop import RUNNING, Latch, StopFlag, latch_text, stopping_on_signals
 from .transports.from_outside import PythonSettings
@@ -65,6 +68,7 @@ def run_bench(
     clock: Clock | None = None,
     transport: Transport | None = None,
     desk: Desk | None = None,
+    frame: AxesFrame | None = None,
 ) -> BenchResult:
     """Prepare the device, execute the phases, and leave the device at rest at the safe command.
 
@@ -77,10 +81,13 @@ def run_bench(
         clock: of a computed device, faster than real time; the process is left as it is then.
         transport: to the device, in place of the block `transport`; called from a thread of its own.
         desk: source of start, end and e-stop requests.
+        frame: coordinates of two axes in which their motion is watched; each command moves its angle where None.
 
     Raises:
         ConfigError: if the stop is latched, the device does not answer, or settings do not fit it; nothing has moved.
     """
+    if transport is not None and len(settings.axes_limits) > 1:
+        raise ConfigError(f"{settings.name}: got a transport of your own, expected kind udp or simulated for two axes")
     if transport is not None:
         settings = settings.model_copy(update={"transport": PythonSettings.of(transport)})
     control = control_process(settings.realtime) if clock is None else nullcontext(list[str]())
@@ -88,7 +95,7 @@ def run_bench(
     clock, flag = clock or MonotonicClock(settings.realtime.spin_s), desk.flag
     with Latch.of(settings.name, settings.latch_file).held() as latch, stopping_on_signals(flag):
         latch.require_released()
-        conversion = Conversion.of(settings.wire, settings.command_unit)
+        conversion = Conversion.of(settings.wire, settings.command_unit, len(settings.axes_limits))
         wire = settings.transport.open(RunContext(conversion, settings.dt_s, clock.now_ns, plants))
         try:
             contact = first_contact(settings, wire, clock, flag)
@@ -103,7 +110,7 @@ def run_bench(
                 for text in notes:
                     note(text)
                 closed = any(phase.closed_loop for phase in work)
-                loop = control_loop(settings, wire, clock, contact, flag, samples, closed_loop=closed)
+                loop = control_loop(settings, wire, clock, contact, flag, samples, closed_loop=closed, frame=frame)
                 outcome = loop.run(work, contact.newest.received_ns + round(0.5e9 * settings.dt_s))
             result = BenchResult(outcome, loop.timings, dict(wire.counters), loop.lost, tuple(notes))
             if outcome.cause:
@@ -126,9 +133,10 @@ def control_loop(
     flag: StopFlag,
     samples: Sink,
     *,
-    safe: float | None = None,
+    safe: PerAxis | None = None,
     stays: Callable[[], bool] = lambda: False,
     closed_loop: bool = False,
+    frame: AxesFrame | None = None,
 ) -> ControlLoop:
     """Control loop of a bench with its sensor checks, motion watch and command gate: the only way to move a device.
 
@@ -136,35 +144,44 @@ def control_loop(
         safe: target of a stop, in place of the bench's `safe_command`; NaN rests where it is, see `SafeStop`.
         stays: whether the safe command is sent on once it is held.
         closed_loop: whether a controller moves the device by its angle, which then has to rise with the command.
+        frame: as of `run_bench`.
     """
     ramps, dt_s, sensor = settings.ramps, settings.dt_s, settings.sensor
-    limits, safe = settings.limits.build(), settings.safe_command if safe is None else safe
-    span = limits.upper - limits.lower
+    limits, safe = settings.axes_limits, settings.safe_command if safe is None else safe
+    span = min(one.upper - one.lower for one in limits)
     tolerance, silence_s = sensor.held_tolerance or _TOLERANCE * span, max(sensor.dead_after_s, sensor.silence_s)
 
-    def way(held: float, velocity: float) -> Vec:
-        return stop_commands(held, velocity, held if math.isnan(safe) else safe, ramps, settings.overshoot, dt_s)
+    def way(held: PerAxis, velocity: PerAxis) -> Vec:
+        return stop_commands(held, velocity, safe if is_known(safe) else held, ramps, settings.overshoot, dt_s)
 
     def to_safe(cause: str) -> SafeStop:
         flag.end()  # whoever asks for something else from now on is told so
         patience = max(REPEATS, round(_PATIENCE_S / dt_s))
         return SafeStop(way, safe, tolerance, cause, patience=patience, stays=stays)
 
-    for velocity in (0.0, ramps.velocity_per_s, limits.rate):  # computed once in advance, to warm up
+    for velocity in (0.0, ramps.velocity_per_s, min(one.rate for one in limits)):  # once in advance, to warm up
         with suppress(TrajectoryError):
-            way(contact.held, velocity)
+            way(contact.held, together([velocity] * len(limits)))
     gate = Gate(limits, dt_s)
     if not contact.reports_held:
         gate.anchor(contact.held)
     anchor = Anchor(gate, tolerance, max(3.0 * dt_s, sensor.age_limit_s), silence_s, safe, sensor.dead_after_s)
-    watch = None
-    if sensor.kind != "none":
-        watch = MotionWatch(settings.plausibility, span, sensor.upper_deg - sensor.lower_deg, closed_loop)
+    watch = _motion_watch(settings, closed_loop, frame) if sensor.kind != "none" else None
     now = clock.now_ns()
-    intake = Intake(sensor, now, watch)
+    intake = Intake(sensor, now, watch, len(limits))
     with suppress(Exception):  # an error here occurs in the loop again, which then stops
         intake.judge([contact.seen_at(now)], now, math.nan)
     return ControlLoop(clock, transport, intake, gate, anchor, dt_s, samples, to_safe, flag, sensor.dead_after_s)
+
+
+def _motion_watch(settings: BenchSettings, closed_loop: bool, frame: AxesFrame | None) -> Watch:
+    """Monitor of the motion of one axis, or of two in their coordinates."""
+    sensor, spans = settings.sensor, [one.upper - one.lower for one in settings.axes_limits]
+    angle_range_deg = sensor.upper_deg - sensor.lower_deg
+    if len(spans) == 1:
+        return MotionWatch(settings.plausibility, spans[0], angle_range_deg, closed_loop)
+    frame = frame or AxesFrame(np.eye(2), np.eye(2), (spans[0], spans[1]))
+    return PlaneWatch(settings.plausibility, frame, angle_range_deg, closed_loop)
 
 
 def _open_latched(latch: Latch, sink: Callable[[], Sink]) -> Sink:
@@ -233,13 +250,13 @@ _ENOUGH = 3  # number of plausible angles for a first contact
 class DeviceContact:
     """State of a device that has answered: held command and newest reading."""
 
-    held: float  # held command, as reported or by `start_command`
+    held: PerAxis  # held command, as reported or by `start_command`
     newest: Reading  # the loop is timed half a sample after its receipt
 
     @property
     def reports_held(self) -> bool:
         """Whether the device reports its held command."""
-        return math.isfinite(self.newest.held)
+        return is_known(self.newest.held)
 
     def seen_at(self, now_ns: int) -> Reading:
         """Newest reading shifted to the present, without its angle: same session, sequence and time of flight.
@@ -247,7 +264,8 @@ class DeviceContact:
         Readings queued since then are therefore late, however long they waited.
         """
         later_ns, newest = now_ns - self.newest.received_ns, self.newest
-        return replace(newest, angle_deg=math.nan, sent_ns=newest.sent_ns + later_ns, received_ns=now_ns)
+        nothing = together([math.nan] * len(each(newest.angle_deg)))
+        return replace(newest, angle_deg=nothing, sent_ns=newest.sent_ns + later_ns, received_ns=now_ns)
 
 
 @final
@@ -261,7 +279,8 @@ class FirstContact:
         self._settings, self._transport = settings, transport
         self._seen, self._plausible = 0, settings.sensor.kind == "none"
         self._enough = 1 if settings.transport.in_process else _ENOUGH
-        self._angle, self._listens, self._greeted_ns = math.nan, True, 0
+        self._angle: PerAxis = math.nan
+        self._listens, self._greeted_ns = True, 0
 
     def judge(self, reading: Reading) -> DeviceContact | None:
         """State of the device after enough plausible readings; None until then.
@@ -270,14 +289,14 @@ class FirstContact:
             ConfigError: if the held command is unknown, differs from `start_command`, or lies beyond the limits.
         """
         sensor = self._settings.sensor
-        if sensor.kind == "continuous" or math.isfinite(reading.angle_deg):
+        if sensor.kind == "continuous" or is_known(reading.angle_deg):
             self._angle = reading.angle_deg
         self._listens = reading.listens
         if not self._listens and reading.received_ns - self._greeted_ns > _GREET_NS:
             self._greeted_ns = reading.received_ns
             with suppress(Exception):
                 self._transport.greet()
-        inside = sensor.lower_deg <= self._angle <= sensor.upper_deg
+        inside = all(sensor.lower_deg <= angle <= sensor.upper_deg for angle in each(self._angle))
         self._plausible = self._plausible or inside
         self._seen += self._listens and (inside or sensor.kind != "continuous")
         if self._seen < self._enough or not self._plausible:
@@ -289,7 +308,8 @@ class FirstContact:
         settings, sensor = self._settings, self._settings.sensor
         if not self._listens:
             return f"{settings.name}: the device listens to another controller, expected that one to have ended"
-        got = "no angle" if math.isnan(self._angle) else f"angle {self._angle:.3f} deg"
+        silent = all(map(math.isnan, each(self._angle)))
+        got = "no angle" if silent else f"angle {in_words(self._angle, '.3f')} deg"
         wanted = f"expected one within {sensor.lower_deg} to {sensor.upper_deg} deg"
         if sensor.kind == "none":
             got, wanted = "nothing", "expected to be told what it holds"
@@ -300,19 +320,23 @@ class FirstContact:
         )
 
 
-def _start(settings: BenchSettings, held: float) -> float:
-    wanted = settings.start_command
-    if not math.isfinite(held):
+def _start(settings: BenchSettings, held: PerAxis) -> PerAxis:
+    wanted, limits = settings.start_command, settings.axes_limits
+    if not is_known(held):
         if wanted is None:
             raise ConfigError(f"{settings.name}: the device does not tell its command, expected the key start_command")
         return wanted
-    if wanted is not None and abs(held - wanted) > 1e-3 * (settings.limits.upper - settings.limits.lower):
-        raise ConfigError(f"{settings.name}: the device holds command {held:.6g}, expected start_command {wanted:.6g}")
-    low, high = settings.limits.lower, settings.limits.upper
-    slack = 1e-9 * (high - low)  # rounding of a unit conversion
-    if not low - slack <= held <= high + slack:
-        raise ConfigError(
-            f"start: the device holds command {held:.6g}, expected one within {low} to {high}; move it there by hand "
-            "or correct the limits"
-        )
-    return min(max(held, low), high)
+    span = min(one.upper - one.lower for one in limits)
+    if wanted is not None and not is_near(held, wanted, 1e-3 * span):
+        here, there = in_words(held), in_words(wanted)
+        raise ConfigError(f"{settings.name}: the device holds command {here}, expected start_command {there}")
+    inside: list[float] = []
+    for value, one in zip(each(held), limits, strict=True):
+        slack = 1e-9 * (one.upper - one.lower)  # rounding of a unit conversion
+        if not one.lower - slack <= value <= one.upper + slack:
+            raise ConfigError(
+                f"start: the device holds command {value:.6g}, expected one within {one.lower} to {one.upper}; move it "
+                "there by hand or correct the limits"
+            )
+        inside.append(min(max(value, one.lower), one.upper))
+    return together(inside)

@@ -51,19 +51,23 @@ def report(
 
     Raises:
         LogError: if the folder holds no complete run.
-        ConfigError: if a folder cannot be written, or a commissioning is to be compared.
+        ConfigError: if a folder cannot be written, or a commissioning or a run of two axes is to be compared.
     """
+    from hystmpc.rig.plane_config import file_of_two_axes
+
     check_figures(figures)
     folder, earlier = Path(run), [Path(one) for one in before]
     keys = _settings_of(folder)
     with figures_to(figures), only_reads():
         if "commissioning" in keys:
             return _commissioning(folder, bool(earlier or diagnosis is not None))
+        if (earlier or diagnosis is not None) and file_of_two_axes(folder / "config.yaml"):
+            raise ConfigError("report: --before and --diagnosis take runs of one axis, got a run of two axes")
         lines, more = _fall(folder, earlier, None if diagnosis is None else Path(diagnosis))
         if {"transport", "sensor", "reference"} <= keys:
-            from hystmpc.rig.experiment.review import review_run
+            from hystmpc.rig.experiment.plane_review import review_bench_run
 
-            reviewed = review_run(folder, more).lines
+            reviewed = review_bench_run(folder, more).lines
             return WrittenReport(folder / "report.html", (*lines, *(f"review: {line}" for line in reviewed)))
         if {"transport", "sensor", "excitations"} <= keys:
             from hystmpc.rig.recording.report import write_report

@@ -35,7 +35,7 @@ from ..planner.reach import angles_at_rest
 from ..problem import CHANGES
 
 Predictive = TypeVar("Predictive", bound=PredictiveSettings)
-_PREDICTIVE = constants()["HYSTMPC_PREDICTIVE"]
+_PREDICTIVE, _PAST = constants()["HYSTMPC_PREDICTIVE"], constants()["HYSTMPC_PAST"]
 _COMMAND = layout("hystmpc_command")
 _DEAR_S, _TOLERANCE = 0.018, 0.25  # where friction is shared: T [s]; tolerance of a hold, of the model's error
 
@@ -167,6 +167,52 @@ class TwoAxisController(HoldsAddresses):
             memory[part] = state.memory
         self._engine.axes_begin(self._address, memory, np.ascontiguousarray(held))
         return self._state(memory)
+
+    def replay(self, commands: Vec, angles_deg: Vec) -> TwoAxisState:
+        """State after a recording, hysteresis included, as if this controller had sent its commands.
+
+        Args:
+            commands: sent last (T, n) [mm or bar], the newest at the end.
+            angles_deg: measured when each was sent (T, 2) [deg]; not-a-number where there was none. Each axis is taken
+                to rest at its first usable angle, under the commands sent before it.
+
+        Raises:
+            ControllerError: if the shapes do not fit, a command is beyond the limits, or an axis has no usable angle.
+        """
+        low, high = (np.array([getattr(each, end) for each in self.limits]) for end in ("lower", "upper"))
+        if not commands.size or commands.shape != (len(angles_deg), low.size) or angles_deg.shape[1:] != (AXES,):
+            raise ControllerError(
+                f"replay: got commands {commands.shape} and angles {angles_deg.shape}, "
+                f"expected (T, {low.size}) and (T, 2)"
+            )
+        if not np.all((low <= commands) & (commands <= high)):
+            raise ControllerError(
+                f"replay: got a command beyond {low.tolist()} to {high.tolist()}, expected all within"
+            )
+        travels, y = self.model.travels(commands), self.model.in_axes(angles_deg)
+        memory = np.zeros(self._bytes, dtype=np.uint8)
+        shared = self._replay_friction(travels)
+        for i, (part, axis) in enumerate(zip(self._parts, self._axes, strict=True)):
+            w = np.clip(travels[:, i], axis.limits.lower, axis.limits.upper)
+            memory[part] = axis.replay(w, y[:, i] - (0.0 if shared is None else shared[0][:, i])).memory
+        self._engine.axes_begin(self._address, memory, np.ascontiguousarray(commands[-1]))
+        if shared is not None:
+            numbers = np.concatenate([commands[-1], *shared[1:]]).view(
+                np.uint8
+            )  # the head of a memory, see core/axes.h
+            memory[: numbers.size] = numbers
+        return self._state(memory)
+
+    def _replay_friction(self, travels: Vec) -> tuple[Vec, Vec, Vec] | None:
+        """Shared friction (T, 2) in angles of a recording, last values (newest first) and state; None without it."""
+        friction, dt_s = self.model.cross_friction, self.model.dt_s
+        if friction is None:
+            return None
+        c, state = friction.advance(friction.at_rest(travels[0], dt_s), travels, dt_s)
+        late = 1 + int(self._axes[0].problem.fields["sensing"].fields["delay"])
+        past = np.zeros((max(_PAST, late) + len(c), AXES))
+        past[-len(c) :] = c
+        return past[-late - len(c) : -late], past[: -_PAST - 1 : -1].ravel(), state
 
     def step(
         self, state: TwoAxisState, angles_deg: ArrayLike, reference: ArrayLike

@@ -269,6 +269,39 @@ class TwoAxisTipController:
             age = memory.steps - float(taken_at_s) / self.dt
             self._memory = replace(memory, control=self._controller.measure(memory.control, theta_deg, age))
 
+    def skip(self) -> TwoAxisCommand:
+        """Advance by one sample in which nothing was sent and the device held; the command returned says so."""
+        with self._lock:
+            memory, control = self._memory, self._memory.control
+            held, status = memory.command.u, "sample skipped, command held"
+            command = replace(memory.command, status=status)
+            if control is not None and not memory.stopped:  # a step would compute the next command of a stop's ramp
+                command, control = self._controller.step(control, np.full(AXES, np.nan), np.empty((0, AXES)))
+                command, control = replace(command, u=held, status=status), self._controller.holding(control, held)
+            if control is not None:
+                self._memory = replace(memory, steps=memory.steps + 1, control=control, command=command)
+            return self._memory.command
+
+    def replay(self, commands: ArrayLike, angles_deg: ArrayLike) -> None:
+        """Reset to the state after a recording of another controller, hysteresis included; a latched stop remains.
+
+        Args:
+            commands: the last commands that were sent (T, n) [mm or bar]; the device holds the newest, at the end.
+            angles_deg: angles (T, 2) [deg] measured when each was sent; NaN where there was none.
+                `step` takes the next.
+
+        Raises:
+            ControllerError: if the shapes do not fit, an axis has no usable angle, or a command is beyond the limits.
+        """
+        sent, seen = np.atleast_2d(numbers_of(commands)), np.atleast_2d(numbers_of(angles_deg))
+        control = self._controller.replay(sent, seen)  # takes longer than a sample
+        rest = rest_at(self._controller.measured_deg(control).tolist(), 0.0)
+        command = TwoAxisCommand(sent[-1], Source.HOLD, "replayed")
+        with self._lock:
+            if halted := self._memory.stopped:
+                control = self._controller.stop(control, "by stop()")
+            self._memory = _Memory(command, control=control, reference=rest, halted=halted, origin=self._origin)
+
     def set_target(self, theta_deg: ArrayLike) -> PlaneReach:
         """Move to angles (2,) [deg] and stay; both axes arrive at the same time, within the limits of the motion.
 

@@ -25,6 +25,7 @@ from hystmpc.trajectories.trajectory import Trajectory, TrajectoryChain
 from hystmpc.trials.errors import ConfigError, ControllerError
 from hystmpc.trials.types import Vec
 
+from ..axes import PerAxis, each, from_array, is_known
 from ..config import RunSettings
 from ..live.desk import Desk, Reply
 from ..recording.sample import Sink
@@ -44,7 +45,7 @@ LATE = "late: no time for a plan"
 _FOR_GOOD = 1 << 62  # steps
 
 # From the measured angle [deg] to the trajectory that starts there.
-LeadIn = Callable[[float], Trajectory]
+LeadIn = Callable[[PerAxis], Trajectory]
 
 
 def run_experiment(
@@ -148,7 +149,7 @@ class Tracking(Phase):
 
     Args:
         lead_in: measured angle to the reference to follow.
-        monitor: reports in the status that the device has changed since identification.
+        monitor: reports in the status that the device has changed since identification; None for two axes.
         drill_s: start and end of an exercise in which the law fails [s]; None for never.
         sensor: of the bench; continuous where left out.
         threaded: whether the transfer has its own thread; False for a computed device, so that each run is the same.
@@ -162,7 +163,7 @@ class Tracking(Phase):
         tip: TipController,
         lead_in: LeadIn,
         watch: ModelWatch,
-        monitor: ChangeMonitor,
+        monitor: ChangeMonitor | None,
         drill_s: tuple[float, float] | None = None,
         sensor: SensorSettings | None = None,
         threaded: bool = True,
@@ -231,13 +232,12 @@ class Tracking(Phase):
             with suppress(ControllerError):  # older than what the controller remembers
                 self._tip.measure(angle, taken_s)
         self._early_frames.clear()
-        control = self._tip.snapshot().control
+        control = None if self._monitor is None else self._tip.snapshot().control
         if self._kind == "continuous" and control is not None and control.estimate.angles:
             self._judge(now.angle_deg, control.estimate.angles[0] - control.estimate.added)
         command = self._tip.step(now.angle_deg if self._kind == "continuous" else math.nan, self._refusal(now))
         self._k += 1 + now.skipped
-        control = self._tip.snapshot().control
-        return self._decision(command, math.nan if control is None else control.due)
+        return self._decision(command, self._due_deg())
 
     def compiled(self) -> CompiledLoop | None:
         """Loop in C, once the controller tracks and before the reference ends."""
@@ -269,8 +269,17 @@ class Tracking(Phase):
         if command is not None:
             tip.took(0, command, loop.after(control))
 
+    def _due_deg(self) -> PerAxis:
+        """Reference angle at the end of the sample [deg]."""
+        if self._monitor is None:
+            return from_array(self._tip.state().reference_deg)
+        control = self._tip.snapshot().control
+        return math.nan if control is None else control.due
+
     def _judge(self, angle_deg: float, model: float) -> None:
         """Compare predicted and measured angle; test once a second whether the device has changed."""
+        if self._monitor is None:
+            return
         if self._judged is None:
             self._judged = self._monitor.init(model, angle_deg)
         self._judged = self._monitor.advance(self._judged, model, angle_deg)
@@ -283,7 +292,7 @@ class Tracking(Phase):
         past = self._past
         if past is not None:
             past.keep(now, self._tip.dt)
-            if math.isfinite(now.angle_deg) or self._kind == "none":
+            if is_known(now.angle_deg) or self._kind == "none":
                 self._past = None
                 self._worker = Thread(target=self._hand_over, args=(past,), name="hand-over", daemon=True)
                 self._worker.start()
@@ -327,7 +336,7 @@ class Tracking(Phase):
             return "drill: solver made to fail"
         return ""
 
-    def _decision(self, command: Command, due_deg: float) -> Decision:
+    def _decision(self, command: Command, due_deg: PerAxis) -> Decision:
         reference = self._reference
         assert reference is not None
         t = self._k * self._tip.dt
@@ -337,22 +346,29 @@ class Tracking(Phase):
         return replace(decision_of(command, due_deg, self._watch, self._changed), finished=over)
 
 
-def decision_of(command: Command, due_deg: float, watch: ModelWatch, note: str = "") -> Decision:
+def decision_of(command: Command, due_deg: PerAxis, watch: ModelWatch, note: str = "") -> Decision:
     """Decision from a controller's command; a stop of the controller or a large model error is a fault.
+
+    Of two axes the greater model error counts.
 
     `due_deg` is the reference angle at the end of the sample [deg]; `note` is appended to the status.
     """
-    predicted = float(command.predicted[0]) if command.predicted.size else math.nan
+    predicted = from_array(command.predicted[0]) if command.predicted.size else math.nan
     stopped = command.source is Source.STOP
     return Decision(
-        u=command.u,
+        u=from_array(command.u),
         source=str(command.source),
         status=command.status + note,
         reference_deg=due_deg,
         predicted_deg=predicted,
         stages_s=(*command.timing.stages.items(), ("total", command.timing.total_s)),
-        fault=f"controller {command.status}" if stopped else watch.judge(command.disturbance),
+        fault=f"controller {command.status}" if stopped else watch.judge(_greatest(command.disturbance)),
     )
+
+
+def _greatest(disturbance_deg: PerAxis) -> float:
+    """Estimated disturbance of the axis with the greater one [deg]."""
+    return max(each(from_array(disturbance_deg)), key=abs, default=0.0)
 
 
 def model_watch(plausibility: PlausibilitySettings, law: ControllerSettings, dt_s: float) -> ModelWatch:

@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 from hystmpc.trials.config import Count, NotNegative, Positive, Settings
 from hystmpc.trials.types import Vec
 
+from ..axes import PerAxis, each, is_known, is_near, rows_of
 from ..safety.intake import ObservedFrame
 from ..safety.ramp import RampSettings, ramp_commands, waypoint_commands
 
@@ -24,25 +25,25 @@ if TYPE_CHECKING:
 class PhaseInput:
     """Measurements and command state given to a phase in each sample."""
 
-    angle_deg: float  # measured angle, NaN where none is usable [deg]
-    held: float  # the command sent last, or the one that the device was found to hold
+    angle_deg: PerAxis  # measured angle, NaN where none is usable [deg]
+    held: PerAxis  # the command sent last, or the one that the device was found to hold
     late: bool = False  # whether the previous sample missed its deadline, so that there is no time for a plan
     skipped: int = 0  # whole samples since the previous one in which nothing was sent and the device held `held`
-    reported: float = math.nan  # the command that the device says it holds, NaN where it does not tell
-    velocity: float = 0.0  # of the command between the last two samples; 0 where the device was found at rest [unit/s]
+    reported: PerAxis = math.nan  # the command that the device says it holds, NaN where it does not tell
+    velocity: PerAxis = 0.0  # of the command between the last two samples; 0 where the device is at rest [unit/s]
     frames: tuple[ObservedFrame, ...] = ()  # of an intermittent sensor, accepted since the last sample
-    shown_deg: float = math.nan  # the newest angle that is not stale, believed or not; NaN where none came [deg]
+    shown_deg: PerAxis = math.nan  # the newest angle that is not stale, believed or not; NaN where none came [deg]
 
 
 @dataclass(frozen=True, slots=True)
 class Decision:
     """Command and status that a phase returns for a sample."""
 
-    u: float  # wanted command; the gate decides
+    u: PerAxis  # wanted command; the gate decides
     source: str  # as in `Sample`
     status: str = "ok"  # as in `Sample`
-    reference_deg: float = math.nan  # wanted at the end of the sample, NaN without a reference [deg]
-    predicted_deg: float = math.nan  # expected there, NaN without a model [deg]
+    reference_deg: PerAxis = math.nan  # wanted at the end of the sample, NaN without a reference [deg]
+    predicted_deg: PerAxis = math.nan  # expected there, NaN without a model [deg]
     stages_s: tuple[tuple[str, float], ...] = ()  # name and time of stages
     finished: bool = False  # whether this was the phase's last sample
     fault: str = ""  # cause of a stop, empty without one
@@ -50,10 +51,10 @@ class Decision:
 
 @dataclass(frozen=True, slots=True)
 class Past:
-    """Commands and angles of the run so far, as the start of a controller; copies of shape (T,) each."""
+    """Commands and angles of the run so far, as the start of a controller; copies of shape (T,), of two axes (T, 2)."""
 
-    commands: list[float]
-    angles_deg: list[float]
+    commands: list[PerAxis]
+    angles_deg: list[PerAxis]
 
     def keep(self, now: PhaseInput, dt_s: float) -> None:
         """Append a sample; the angle of a frame is stored at the sample of its exposure, or at the first sample."""
@@ -71,7 +72,7 @@ REMEMBERED = 200_000
 """Samples of preparation that a controller can be told of."""
 
 
-def place_frames(angles: MutableSequence[float], frames: Sequence[ObservedFrame], dt_s: float) -> None:
+def place_frames(angles: MutableSequence[PerAxis], frames: Sequence[ObservedFrame], dt_s: float) -> None:
     """Write the angles of frames into the samples of their exposure; the last sample is the present one."""
     for frame in frames:
         angles[max(-1 - round(frame.age_s / dt_s), -len(angles))] = frame.angle_deg
@@ -107,19 +108,19 @@ class Phase(Protocol):
 
 @final
 class CommandMotion(Phase):
-    """Open-loop motion: commands (N,) computed from the held command when the phase begins.
+    """Open-loop motion: commands (N,), of two axes (N, 2), computed from the held command when the phase begins.
 
     Skipped samples delay the motion and leave out no command.
     """
 
-    def __init__(self, name: str, commands: Callable[[float], Vec]) -> None:
+    def __init__(self, name: str, commands: Callable[[PerAxis], Vec]) -> None:
         self.name, self._plan = name, commands
-        self._commands: list[float] = []
+        self._commands: list[PerAxis] = []
         self._k = 0
 
     def begin(self, now: PhaseInput, past: Past) -> None:
         del past
-        self._commands, self._k = self._plan(now.held).tolist(), 0
+        self._commands, self._k = rows_of(self._plan(now.held)), 0
 
     def step(self, now: PhaseInput) -> Decision:
         del now
@@ -200,8 +201,8 @@ class SafeStop(Phase):
     starts of the motion is left to its watchdog.
 
     Args:
-        commands: held command and its velocity to the commands (N,) to send; where it fails, the safe command itself is
-            wanted, and the gate lets the device there as fast as the limits allow.
+        commands: held command and its velocity to the commands (N,), of two axes (N, 2), to send; where it fails, the
+            safe command itself is wanted, and the gate lets the device there as fast as the limits allow.
         safe: the safe command; NaN rests where the motion ends, which is never confirmed, so that the device's watchdog
             stays armed.
         tolerance: greatest deviation of the reported command, in its unit.
@@ -211,8 +212,8 @@ class SafeStop(Phase):
 
     def __init__(
         self,
-        commands: Callable[[float, float], Vec],
-        safe: float,
+        commands: Callable[[PerAxis, PerAxis], Vec],
+        safe: PerAxis,
         tolerance: float,
         cause: str,
         patience: int = 25,
@@ -223,7 +224,7 @@ class SafeStop(Phase):
         self._patience, self._attempts = patience, _ATTEMPTS
         self.name = "stop" if cause else "return"
         self._status = f"safe stop: {cause}" if cause else "ok"
-        self._commands: list[float] = []
+        self._commands: list[PerAxis] = []
         self._k, self._rested = 0, 0
         self.sent = self.confirmed = False
 
@@ -232,10 +233,10 @@ class SafeStop(Phase):
         del past
         self._attempts -= 1
         try:
-            self._commands = self._plan(now.held, now.velocity).tolist()
+            self._commands = rows_of(self._plan(now.held, now.velocity))
         except Exception:  # noqa: BLE001 - a stop cannot fail: the gate's limits lead there as well
             self._commands = []
-        if math.isnan(self._safe):
+        if not is_known(self._safe):
             self._end = self._commands[-1] if self._commands else now.held
         self._k = self._rested = 0
 
@@ -245,8 +246,8 @@ class SafeStop(Phase):
             return Decision(now.held, self.name, f"{self._status}; given up", finished=True)
         u = self._commands[self._k] if self._k < len(self._commands) else self._end
         self._k += 1
-        self._rested += abs(now.held - self._end) <= 1e-9 * (1 + abs(self._end))
-        self.confirmed = abs(now.reported - self._safe) <= self._tolerance
+        self._rested += is_near(now.held, self._end, 1e-9 * (1 + max(map(abs, each(self._end)))))
+        self.confirmed = is_near(now.reported, self._safe, self._tolerance)
         self.sent = self._k >= len(self._commands) and self._rested >= REPEATS
         there = self.sent and (self.confirmed or self._rested >= self._patience)
         return Decision(u, self.name, self._status, finished=there and not self._stays())

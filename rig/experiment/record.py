@@ -37,8 +37,10 @@ from hystmpc.trials.tables import LogTable, read_table
 from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Vec
 
+from ..axes import NAMES, PerAxis, each, from_array, like, rows_of, together, trial_columns
 from ..config import BenchSettings, located
 from ..live.desk import Desk, LiveSettings
+from ..plane_config import Both, PlaneBenchSettings, file_of_two_axes
 from ..recording.sample import Sink
 from ..run import BenchResult, Note, run_bench
 from ..safety.ramp import RampSettings, waypoint_commands
@@ -54,14 +56,14 @@ _BETWEEN_FRAMES = (
 
 
 class Recorded(Phase):
-    """Phase that plays commands (N,) and records the commands sent and reported, and the measured angles.
+    """Phase that plays commands (N,), of two axes (N, 2), and records the commands sent and reported, and the angles.
 
     An angle belongs to the end of its sample: it is read at the beginning of the next one, so the last command is held
     for one sample more. A frame belongs to the sample at whose end it was taken; the last command is held for `late`
     further samples until the last frames have come.
 
     Args:
-        commands: to play, from the held command on (N,).
+        commands: to play, from the held command on (N,), of two axes (N, 2).
         dt_s: sample time [s].
         late: age of the oldest frame [samples]; None for a continuous sensor.
     """
@@ -69,11 +71,11 @@ class Recorded(Phase):
     def __init__(self, name: str, commands: Vec, dt_s: float, late: int | None = None) -> None:
         self.name = name
         self._dt, self._late = dt_s, late
-        self._commands = commands.tolist()
-        self.sent = [math.nan] * commands.size
-        self.reported = [math.nan] * commands.size
-        self.angles_deg = [math.nan] * commands.size
-        self.times = [math.nan] * commands.size
+        self._commands = rows_of(commands)
+        nothing = together([math.nan] * len(each(self._commands[0])))
+        self.sent, self.reported = [nothing] * len(commands), [nothing] * len(commands)
+        self.angles_deg = [nothing] * len(commands)
+        self.times = [math.nan] * len(commands)
         self._k, self._skipped = 0, 0
 
     def begin(self, now: PhaseInput, past: Past) -> None:
@@ -87,7 +89,8 @@ class Recorded(Phase):
         count = len(self._commands)
         if 0 < k <= count:
             self.sent[k - 1], self.reported[k - 1] = now.held, now.reported
-            self.angles_deg[k - 1] = now.angle_deg if self._late is None else math.nan
+            angle = now.angle_deg if self._late is None else math.nan
+            self.angles_deg[k - 1] = like(now.held, angle)
             self.times[k - 1] = k + self._skipped
         for frame in now.frames:
             taken = k + self._skipped - frame.age_s / self._dt
@@ -105,6 +108,8 @@ class Recorded(Phase):
         trial, file = self.trial(unit), folder / f"{self.name}.csv"
         if trial is None:
             return None
+        if trial.commands.shape[1] > 1:
+            return write_atomically(file, format_table(trial_columns(trial.t, trial.commands, trial.angles, unit)))
         if self._late is None:
             return write_csv(trial, file)
         t, u, y = (np.array(values) for values in (self.times, self.sent, self.angles_deg))
@@ -116,7 +121,7 @@ class Recorded(Phase):
     def trial(self, unit: str) -> Trial | None:
         """Trial of the samples with an angle; None with fewer than two."""
         t, u, y = (np.array(values) for values in (self.times, self.sent, self.angles_deg))
-        seen = np.isfinite(t) & np.isfinite(y)
+        seen = np.isfinite(t) & (np.isfinite(y) if y.ndim == 1 else np.isfinite(y).all(axis=1))
         if np.count_nonzero(seen) < _LEAST:
             return None
         return Trial(self._dt * t[seen], u[seen], y[seen], units=Units(command=unit), source=self.name)
@@ -137,7 +142,7 @@ class RecordResult:
 
 
 def record(
-    settings: RecordSettings,
+    settings: AnyRecordSettings,
     sink: Callable[[], Sink],
     plants: PlantFactory,
     folder: Path,
@@ -166,7 +171,7 @@ def record(
             )
         commands = excitation.commands(settings.rate_hz, settings.ramps)
         _within(settings, name, commands)
-        way = partial(_approach, settings, float(commands[0]))
+        way = partial(_approach, settings, from_array(commands[0]))
         recorded.append(Recorded(name, commands, settings.dt_s, late))
         phases += [CommandMotion("approach", way), recorded[-1]]
     if late is not None:
@@ -186,22 +191,22 @@ def record(
     return RecordResult(bench, tuple(written), cut)
 
 
-def _approach(settings: RecordSettings, start: float, held: float) -> Vec:
+def _approach(settings: AnyRecordSettings, start: PerAxis, held: PerAxis) -> Vec:
     """Ramp to the first command of an excitation, then rest."""
     rest_s = max(settings.settle_s, settings.dt_s)
     return waypoint_commands(held, [start], [rest_s], settings.ramps, settings.dt_s)
 
 
-def _within(settings: RecordSettings, name: str, commands: Vec) -> None:
-    limits = settings.limits
-    slack = _ROUNDING * (limits.upper - limits.lower)
-    low, high = float(commands.min()), float(commands.max())
-    rate = float(np.abs(np.diff(commands)).max(initial=0.0)) * settings.rate_hz
-    if low < limits.lower - slack or high > limits.upper + slack or rate > limits.rate_per_s * (1 + _ROUNDING):
-        raise ConfigError(
-            f"excitations.{name}: got commands from {low:.6g} to {high:.6g} {settings.command_unit} at up to "
-            f"{rate:.4g} per s, expected them within limits {limits.lower} to {limits.upper} at {limits.rate_per_s}"
-        )
+def _within(settings: AnyRecordSettings, name: str, commands: Vec) -> None:
+    for limits, values in zip(settings.axes_limits, np.atleast_2d(commands.T), strict=True):
+        slack = _ROUNDING * (limits.upper - limits.lower)
+        low, high = float(values.min()), float(values.max())
+        rate = float(np.abs(np.diff(values)).max(initial=0.0)) * settings.rate_hz
+        if low < limits.lower - slack or high > limits.upper + slack or rate > limits.rate * (1 + _ROUNDING):
+            raise ConfigError(
+                f"excitations.{name}: got commands from {low:.6g} to {high:.6g} {settings.command_unit} at up to "
+                f"{rate:.4g} per s, expected them within limits {limits.lower} to {limits.upper} at {limits.rate}"
+            )
 
 
 class TrajectoryExcitation(Settings):
@@ -328,19 +333,21 @@ class MotionFileSettings(Settings):
         """
         del ramps
         table, column = _motion_table(self.file)
-        t, u = table.numbers["time_s"], table.numbers[column]
-        if t.size < 2 or not np.isfinite([t, u]).all() or not (np.diff(t) > 0).all():
-            raise LogError(
-                f"{self.file}: got {t.size} rows, expected at least 2 with finite numbers and increasing time_s"
-            )
-        steps = int(np.ceil((t[-1] - t[0]) * rate_hz - 1e-9))
-        return np.interp(t[0] + np.arange(steps + 1) / rate_hz, t, u)
+        return _sampled(self.file, table.numbers["time_s"], table.numbers[column], rate_hz)
 
 
 Excitation = Annotated[
     S1SinusoidSettings | S2SinusoidSettings | S2PointToPointSettings | StopsSettings | MotionFileSettings,
     Field(discriminator="kind"),
 ]
+
+
+def _sampled(path: Path, t: Vec, u: Vec, rate_hz: float) -> Vec:
+    """Commands (N,) at a rate, interpolated linearly between those of a file."""
+    if t.size < 2 or not np.isfinite([t, u]).all() or not (np.diff(t) > 0).all():
+        raise LogError(f"{path}: got {t.size} rows, expected at least 2 with finite numbers and increasing time_s")
+    steps = int(np.ceil((t[-1] - t[0]) * rate_hz - 1e-9))
+    return np.interp(t[0] + np.arange(steps + 1) / rate_hz, t, u)
 
 
 def _motion_table(path: Path | str) -> tuple[LogTable, str]:
@@ -352,6 +359,64 @@ def _motion_table(path: Path | str) -> tuple[LogTable, str]:
             f"{path}: got columns {', '.join(table.header)}, expected time_s and one of {', '.join(CANONICAL.command)}"
         )
     return table, names[0]
+
+
+class PlaneStopsSettings(Settings):
+    """Excitation `kind: ramps` of two axes: ramps to commands, both arriving at the same time, each with its hold.
+
+    Attributes:
+        start: commands x, y at the start [mm or bar].
+        stops: commands to reach, in order, a pair each [mm or bar].
+        holds_s: rest at each stop [s]; as many as stops.
+    """
+
+    unit: ClassVar[str | None] = None  # the numbers are in that of the bench
+
+    kind: Literal["ramps"]
+    start: Both
+    stops: tuple[Both, ...] = Field(min_length=1)
+    holds_s: tuple[NotNegative, ...]
+
+    @model_validator(mode="after")
+    def _as_many(self) -> PlaneStopsSettings:
+        if len(self.stops) != len(self.holds_s):
+            raise ValueError(f"got {len(self.stops)} stops and {len(self.holds_s)} holds_s, expected as many")
+        return self
+
+    def commands(self, rate_hz: float, ramps: RampSettings) -> Vec:
+        """Sampled commands of the recording, shape (N, 2)."""
+        start, stops = together(self.start), list(map(together, self.stops))
+        return np.vstack([self.start, waypoint_commands(start, stops, self.holds_s, ramps, 1 / rate_hz)])
+
+
+class PlaneFileSettings(Settings):
+    """Excitation `kind: file` of two axes: columns `time_s`, `command_x` and `command_y` of a CSV file.
+
+    Attributes:
+        file: its name; a relative name starts at the folder of the configuration.
+    """
+
+    unit: ClassVar[str | None] = None  # the numbers are in that of the bench
+
+    kind: Literal["file"]
+    file: Path
+
+    def commands(self, rate_hz: float, ramps: RampSettings) -> Vec:
+        """Commands (N, 2), interpolated linearly.
+
+        Raises:
+            LogError: if the file cannot be read, lacks a column, or has numbers that are not finite or in order.
+        """
+        del ramps
+        table, wanted = read_table(read_lines(self.file), str(self.file)), [f"command_{name}" for name in NAMES]
+        if missing := [name for name in ("time_s", *wanted) if name not in table.numbers]:
+            raise LogError(f"{self.file}: got no numbers in {', '.join(missing)}, expected time_s, {', '.join(wanted)}")
+        return np.stack(
+            [_sampled(self.file, table.numbers["time_s"], table.numbers[n], rate_hz) for n in wanted], axis=1
+        )
+
+
+PlaneExcitation = Annotated[PlaneStopsSettings | PlaneFileSettings, Field(discriminator="kind")]
 
 
 class RecordSettings(BenchSettings):
@@ -376,15 +441,35 @@ class RecordSettings(BenchSettings):
         return self
 
 
-def load_record(path: Path | str, overrides: Iterable[str] = ()) -> RecordSettings:
-    """Read the settings of a recording, as `load_run`.
+class PlaneRecordSettings(PlaneBenchSettings):
+    """Settings of recordings of two axes (`hystmpc record`); every excitation becomes one trial.
+
+    Attributes:
+        excitations: motions by name, each with its `kind`, `ramps` or `file`.
+        settle_s: rest before each of them [s].
+        live: the local page; a recording takes no target.
+    """
+
+    excitations: Mapping[FolderName, PlaneExcitation] = Field(min_length=1)
+    settle_s: NotNegative = 1.0
+    live: LiveSettings = LiveSettings()
+
+
+AnyRecordSettings = RecordSettings | PlaneRecordSettings
+
+
+def load_record(path: Path | str, overrides: Iterable[str] = ()) -> AnyRecordSettings:
+    """Read the settings of a recording of one axis or of two, as `load_run`.
 
     Raises:
         ConfigError: on an unreadable file, an unknown key or a value out of bounds.
     """
-    settings, folder = load_settings(RecordSettings, path, overrides), Path(path).resolve().parent
+    kind: type[AnyRecordSettings] = PlaneRecordSettings if file_of_two_axes(path) else RecordSettings
+    settings, folder = load_settings(kind, path, overrides), Path(path).resolve().parent
     excitations = {
-        name: e.model_copy(update={"file": folder / e.file}) if isinstance(e, MotionFileSettings) else e
+        name: e.model_copy(update={"file": folder / e.file})
+        if isinstance(e, MotionFileSettings | PlaneFileSettings)
+        else e
         for name, e in settings.excitations.items()
     }
     return settings.model_copy(update={"excitations": excitations, **located(settings, folder)})

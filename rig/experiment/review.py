@@ -27,7 +27,7 @@ from hystmpc.trials.run_folder import Column, RunFolder
 from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Vec, lagged, rms
 
-from ..config import RunSettings
+from ..config import BenchSettings, RunSettings
 from ..recording.report import Log, causes, numbers, timing_table, tracked
 from ..recording.sample import TAKEN
 
@@ -219,17 +219,8 @@ def write_page(
     run: RunFolder, settings: RunSettings, rows: ReviewedRun | None, verdict: Review, more: Sequence[Piece] = ()
 ) -> Path:
     """Write report.html of a run; `rows` is None with too few samples, `more` follows the advice."""
-    timing = mapping_in(run.path / "timing.json")
-    outcome = timing.get("outcome", {})
-    pieces: list[Piece] = []
-    if not timing:
-        killed = "The program was killed before it could say how the run ended: there is no timing.json."
-        pieces.append(Paragraph(killed))
-    elif outcome.get("cause"):
-        pieces.append(Heading(f"Stopped: {outcome['cause']}"))
-        pieces.append(Paragraph("The stop is latched. Look at the device, then run again with `--reset`."))
-    pieces += [Paragraph(line[0].upper() + line[1:] + ".") for line in verdict.lines]
-    log = run.log()
+    timing, log = mapping_in(run.path / "timing.json"), run.log()
+    pieces = [*ending_pieces(timing), *line_pieces(verdict.lines)]
     pieces += [*more, Heading("Run"), KeyValues(_figures(settings, verdict, log, timing))]
     if rows is not None:
         figure = tracked(rows.t, rows.reference_deg, rows.measured_deg, rows.command, settings.command_unit)
@@ -239,15 +230,27 @@ def write_page(
             Heading("Predicted and measured angle"),
             Plot(_prediction(rows), "Measured less predicted angle: one sample ahead, and in a free run.", True),
         ]
-    pieces += [*_timing_pieces(timing, settings.dt_s), Heading("Stages of a sample"), timing_table(log), *causes(log)]
+    pieces += [*timing_pieces(timing, settings.dt_s), Heading("Stages of a sample"), timing_table(log), *causes(log)]
     run_page = Report("Run at the bench", tuple(pieces), f"{settings.name}, {run.meta.get('start', '')}")
     return run.write_report(run_page)
 
 
+def ending_pieces(timing: Mapping[str, Any]) -> Iterator[Piece]:
+    """What a report says first of a run that was stopped or killed; `timing` is that of `timing.json`."""
+    if not timing:
+        killed = "The program was killed before it could say how the run ended: there is no timing.json."
+        yield Paragraph(killed)
+    elif timing.get("outcome", {}).get("cause"):
+        yield Heading(f"Stopped: {timing['outcome']['cause']}")
+        yield Paragraph("The stop is latched. Look at the device, then run again with `--reset`.")
+
+
+def line_pieces(lines: Sequence[str]) -> list[Piece]:
+    """A paragraph for each line of a review."""
+    return [Paragraph(line[0].upper() + line[1:] + ".") for line in lines]
+
+
 def _figures(settings: RunSettings, verdict: Review, log: Log, timing: Mapping[str, Any]) -> dict[str, object]:
-    wire, outcome = timing.get("wire", {}), timing.get("outcome", {})
-    angles = numbers(log, "angle_deg")
-    sent = outcome.get("samples", 0) - timing.get("skipped", 0)
     judged = {
         "RMS tracking error [deg]": verdict.tracking_deg,
         "greatest tracking error [deg]": verdict.greatest_deg,
@@ -257,10 +260,26 @@ def _figures(settings: RunSettings, verdict: Review, log: Log, timing: Mapping[s
         "gain of that line": verdict.gain,
         "offset of that line [deg]": verdict.offset_deg,
     }
+    return run_figures(settings, settings.controller.model, judged, numbers(log, "angle_deg"), timing)
+
+
+def run_figures(
+    settings: BenchSettings, model: str, judged: Mapping[str, float], angles: Vec, timing: Mapping[str, Any]
+) -> dict[str, object]:
+    """Names and values of the table of a run.
+
+    Args:
+        model: file of the model.
+        judged: errors by name; what is not finite is left out.
+        angles: measured angles (N,) [deg], not-a-number where one is missing.
+        timing: of `timing.json`.
+    """
+    wire, outcome = timing.get("wire", {}), timing.get("outcome", {})
+    sent = outcome.get("samples", 0) - timing.get("skipped", 0)
     return {
         "device": settings.name,
         "transport": settings.transport.kind,
-        "model": settings.controller.model,
+        "model": model,
         "rate [Hz]": settings.rate_hz,
         "samples": angles.size,
         "samples without an angle": int(np.count_nonzero(~np.isfinite(angles))),
@@ -286,7 +305,8 @@ def _prediction(rows: ReviewedRun) -> Figure:
     return figure
 
 
-def _timing_pieces(timing: Mapping[str, Any], dt_s: float) -> Iterator[Piece]:
+def timing_pieces(timing: Mapping[str, Any], dt_s: float) -> Iterator[Piece]:
+    """Table and histograms of period, execution and jitter; `timing` is that of `timing.json`."""
     if not timing:
         return
     yield Heading("Timing")

@@ -16,6 +16,7 @@ from typing import Any, final
 
 from hystmpc.trials.errors import ConfigError
 
+from ..axes import NAMES, PerAxis, each
 from ..transports.udp import is_loopback
 from .desk import MOST_BYTES, Controls
 from .state import LiveState, LiveView
@@ -360,7 +361,10 @@ class LivePage(LiveView):
 
 
 def message(state: LiveState, unit: str, rate_hz: float) -> dict[str, Any]:
-    """Message to the browsers: figures, and the curves of the last 20 s."""
+    """Message to the browsers: figures, and the curves of the last 20 s.
+
+    Of two axes figures are lists, and each axis has a curve: `angle_x`, `angle_y`.
+    """
     last = state.last
     timings = {}
     for name, histogram in (("late", state.late), ("work", state.total)):
@@ -372,16 +376,19 @@ def message(state: LiveState, unit: str, rate_hz: float) -> dict[str, Any]:
             "p99_ms": _number(1e3 * figures.p99_s),
             "greatest_ms": _number(1e3 * figures.greatest_s),
         }
-    curves = {"t": state.t, "reference": state.reference, "angle": state.angle, "command": state.command}
+    curves = {"t": state.t}
+    for name, values in (("reference", state.reference), ("angle", state.angle), ("command", state.command)):
+        several = {f"{name}_{axis}": column for axis, column in zip(NAMES, values.T, strict=False)}
+        curves |= {name: values} if values.ndim == 1 else several
     return {
         "unit": unit,
         "rate_hz": rate_hz,
         "real_rate_hz": _number(state.rate_hz),
         "t_s": _number(last.t_s),
-        "angle_deg": _number(last.measured_deg),
-        "reference_deg": _number(last.reference_deg),
+        "angle_deg": _figures(last.measured_deg),
+        "reference_deg": _figures(last.reference_deg),
         "rms_deg": _number(state.rms_deg),
-        "command": _number(last.command),
+        "command": _figures(last.command),
         "source": str(last.source),
         "status": str(last.status),
         "missed": state.missed,
@@ -390,6 +397,12 @@ def message(state: LiveState, unit: str, rate_hz: float) -> dict[str, Any]:
         "timing": timings,
         "curves": {name: [_number(value) for value in values.tolist()] for name, values in curves.items()},
     }
+
+
+def _figures(value: PerAxis) -> float | list[float | None] | None:
+    """Number of one axis, or list of both."""
+    numbers = [_number(one) for one in each(value)]
+    return numbers[0] if len(numbers) == 1 else numbers
 
 
 def _number(value: float) -> float | None:

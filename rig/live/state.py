@@ -13,6 +13,7 @@ import numpy as np
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec, rms
 
+from ..axes import each, spread
 from ..histogram import Histogram
 from ..recording.sample import Sample, ThreadedSink
 
@@ -29,8 +30,10 @@ class LiveState:
     """State of a run for the live views, updated by one thread.
 
     Attributes:
-        t, reference, angle, command: the last 20 s, decimated, (P,); not-a-number without an angle.
-        rms_deg, rate_hz: tracking error and real rate of the loop over these 20 s.
+        t, reference, angle, command: the last 20 s, decimated, (P,), of two axes (P, 2) but for `t`; not-a-number
+            without an angle.
+        rms_deg, rate_hz: tracking error and real rate of the loop over these 20 s; of two axes the error is the
+            distance in their plane.
         late, total: histograms of lateness and of the execution time of a sample, since the start.
         faults, fault_s: samples with each fault since the start, and the time of the last one [s].
         notes: messages from elsewhere, such as an end of the recording.
@@ -50,7 +53,7 @@ class LiveState:
     def __init__(self, rate_hz: float) -> None:
         if not (math.isfinite(rate_hz) and rate_hz > 0):
             raise ConfigError(f"live view: got a rate of {rate_hz} Hz, expected a positive number")
-        self._recent: deque[tuple[float, float, float, float]] = deque(maxlen=max(round(WINDOW_S * rate_hz), 2))
+        self._recent: deque[tuple[float, ...]] = deque(maxlen=max(round(WINDOW_S * rate_hz), 2))
         self._stride = max(round(rate_hz / _POINTS_PER_S), 1)
         self.late, self.total = Histogram(2 / rate_hz), Histogram(2 / rate_hz)
         self.missed = self._count = 0
@@ -61,7 +64,9 @@ class LiveState:
     def update(self, samples: Iterable[Sample]) -> bool:
         """Add samples in the order of the run; False before the first one."""
         for sample in samples:
-            self._recent.append((sample.t_s, sample.reference_deg, sample.measured_deg, sample.command))
+            axes = len(each(sample.command))
+            signals = (spread(value, axes) for value in (sample.reference_deg, sample.measured_deg, sample.command))
+            self._recent.append((sample.t_s, *(one for signal in signals for one in signal)))
             self.late.add(sample.lateness_s)
             self.total.add(dict(sample.stages_s).get("total", math.fsum(spent for _, spent in sample.stages_s)))
             self.missed += bool(sample.missed)
@@ -76,8 +81,12 @@ class LiveState:
         span = float(rows[-1, 0] - rows[0, 0])
         # Counted from the start, so that a point that was shown stays where it was.
         shown = rows[(self._stride - 1 - (self._count - len(rows))) % self._stride :: self._stride]
-        self.t, self.reference, self.angle, self.command = shown.T
-        self.rms_deg = rms(rows[:, 1] - rows[:, 2])
+        axes = len(each(self.last.command))
+        parts = [shown[:, 1 + k * axes : 1 + (k + 1) * axes] for k in range(3)]
+        self.t = shown[:, 0]
+        self.reference, self.angle, self.command = parts if axes > 1 else (part[:, 0] for part in parts)
+        error = rows[:, 1 : 1 + axes] - rows[:, 1 + axes : 1 + 2 * axes]
+        self.rms_deg = rms(error[:, 0] if axes == 1 else np.hypot(*error.T))
         self.rate_hz = (len(rows) - 1) / span if span > 0 else math.nan
         return True
 

@@ -15,6 +15,7 @@ from rich.text import Text
 
 from hystmpc.trials.types import Vec
 
+from ..axes import NAMES, PerAxis, each, in_words, is_known, spread
 from .state import WINDOW_S, LiveState, LiveView
 
 _DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
@@ -130,45 +131,58 @@ class TerminalView(LiveView):
 def headline(state: LiveState, unit: str) -> Text:
     """One line of the run's state: time, source, angle, reference, error, command."""
     last = state.last
-    error = last.reference_deg - last.measured_deg
+    axes = len(each(last.command))
+    parts = zip(spread(last.reference_deg, axes), spread(last.measured_deg, axes), strict=True)
+    errors = [wanted - angle for wanted, angle in parts]
     text = Text(f"{last.t_s:8.1f} s  ", no_wrap=True)
     text.append(f" {last.source.upper()} ", _STATE_COLOURS.get(last.source, "cyan"))
     text.append(f"  angle {_angle(last.measured_deg)} deg", "bold cyan")
     text.append(f"  reference {_angle(last.reference_deg)}", "yellow")
-    if math.isfinite(error):
-        text.append(f"  error {error:+6.2f} (rms {state.rms_deg:.2f})")
-    elif not math.isfinite(last.measured_deg):
+    if all(map(math.isfinite, errors)):
+        error = f"{errors[0]:+6.2f}" if axes == 1 else f"{math.hypot(*errors):6.2f}"
+        text.append(f"  error {error} (rms {state.rms_deg:.2f})")
+    elif not is_known(last.measured_deg):
         text.append("  no angle")
-    text.append(f"  command {last.command:.3f} {unit}", "magenta")
+    text.append(f"  command {in_words(last.command, '.3f')} {unit}", "magenta")
     if last.status and last.status != last.source:
         text.append(f"  {' '.join(last.status.split())}", "dim")
     return text
 
 
-def _angle(value: float) -> str:
-    return f"{value:7.2f}" if math.isfinite(value) else "     --"
+def _angle(value: PerAxis) -> str:
+    return " ".join(f"{one:7.2f}" if math.isfinite(one) else "     --" for one in each(value))
 
 
 def _plot(state: LiveState, width: int) -> Table:
-    low, high = limits_of(state.reference, state.angle, least_span=2.0)
-    shape = low, high, width, _PLOT_ROWS
-    fields = [
-        (raster(state.t, state.reference, *shape), "yellow"),
-        (raster(state.t, state.angle, *shape), "bold cyan"),
-    ]
-    axis = [f"{high:6.1f}°", *[""] * (_PLOT_ROWS - 2), f"{low:6.1f}°"]
+    """Reference and angle of the last 20 s, of two axes one over the other."""
     grid = Table.grid(padding=(0, 1))
-    grid.add_row(Text("\n".join(axis)), curves(fields))
+    axes = [""] if state.angle.ndim == 1 else NAMES
+    rows = _PLOT_ROWS // len(axes)
+    for k, name in enumerate(axes):
+        reference, angle = (values if values.ndim == 1 else values[:, k] for values in (state.reference, state.angle))
+        low, high = limits_of(reference, angle, least_span=2.0)
+        shape = low, high, width, rows
+        fields = [
+            (raster(state.t, reference, *shape), "yellow"),
+            (raster(state.t, angle, *shape), "bold cyan"),
+        ]
+        scale = [f"{high:6.1f}°", *([""] * (rows - 2)), f"{low:6.1f}°"]
+        if name:
+            scale[1] = f"{name:>6} "
+        grid.add_row(Text("\n".join(scale)), curves(fields))
     legend = Text(f"last {min(float(state.t[-1] - state.t[0]), WINDOW_S):.0f} s  ", style="dim")
     grid.add_row("", legend.append("━ reference  ", "not dim yellow").append("━ measured angle", "not dim bold cyan"))
     return grid
 
 
 def _command(state: LiveState, unit: str, width: int) -> Text:
-    low, high = limits_of(state.command, least_span=1e-3)
-    text = Text("command ", no_wrap=True)
-    text.append(bar(state.last.command, low, high, max(width - 24, 8)), "magenta")
-    text.append(f" {low:.2f} to {high:.2f} {unit}", "dim")
+    """Bar of each command within its range of the last 20 s."""
+    text, several = Text(no_wrap=True), state.command.ndim > 1
+    for k, (value, series) in enumerate(zip(each(state.last.command), np.atleast_2d(state.command.T), strict=True)):
+        low, high = limits_of(series, least_span=1e-3)
+        text.append(f"{chr(10) if k else ''}command {f'{NAMES[k]} ' if several else ''}")
+        text.append(bar(value, low, high, max(width - 24, 8)), "magenta")
+        text.append(f" {low:.2f} to {high:.2f} {unit}", "dim")
     return text
 
 

@@ -27,6 +27,7 @@ from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError, HystmpcError
 from hystmpc.trials.run_folder import RunFolder, take_back
 
+from ..axes import PerAxis, each, together
 from ..live.desk import Access, Desk, Reply
 from ..safety.stop import STOPPING
 from .recording import Recording, RecordingMeta, Tell, create_folder
@@ -78,12 +79,16 @@ def unpack(pipe: BinaryIO, take_replies: Callable[[Replies], object] = lambda re
 
 def _plain(s: Sample) -> tuple[object, ...]:
     """Fields of a sample in order, in types that `marshal` supports, since a controller may return NumPy types."""
-    angles = float(s.reference_deg), float(s.measured_deg)
+    angles = _numbers(s.reference_deg), _numbers(s.measured_deg)
     stages = tuple((str(name), float(spent)) for name, spent in s.stages_s)
-    chosen = float(s.command), str(s.source), str(s.status), float(s.predicted_deg), stages
+    chosen = _numbers(s.command), str(s.source), str(s.status), _numbers(s.predicted_deg), stages
     timing = float(s.period_s), float(s.lateness_s), bool(s.missed)
     rest = tuple(map(str, s.faults)), int(s.sequence), float(s.taken_s)
     return (float(s.t_s), int(s.wall_ns), *angles, *chosen, *timing, *rest)
+
+
+def _numbers(value: PerAxis) -> PerAxis:
+    return together(float(one) for one in each(value))
 
 
 @dataclass(frozen=True)
@@ -118,7 +123,7 @@ def open_recorder_process(
     """
     path, made = Path(folder), not Path(folder).exists()
     create_folder(path, config, meta)
-    order = {"folder": str(path), "rate_hz": rate_hz, "unit": meta.unit, "stages": meta.stages}
+    order = {"folder": str(path), "rate_hz": rate_hz, "unit": meta.unit, "stages": meta.stages, "axes": meta.axes}
     access = None if desk is None or desk.access is None else asdict(desk.access)
     more = {"views": asdict(views), "report": report, "access": access}
     try:
@@ -309,7 +314,7 @@ def _sinks(order: dict[str, Any], requests: _Requests) -> tuple[Sink, str]:
                 view.tell(text)
         _say(tell=text)
 
-    meta = RecordingMeta(order["unit"], stages=tuple(order["stages"]))
+    meta = RecordingMeta(order["unit"], stages=tuple(order["stages"]), axes=order["axes"])
     run = RunFolder.open(order["folder"])
     recording = Recording(run, meta, order["rate_hz"], tell, lambda count: _say(on_disk=count), report=order["report"])
     views: list[Sink] = [view for view in (page, terminal) if view is not None]

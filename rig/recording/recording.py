@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import logging
+import math
 import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -18,9 +19,10 @@ from hystmpc.trials import mcap_
 from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.json_text import plain
-from hystmpc.trials.layouts import COMMAND_UNITS
+from hystmpc.trials.layouts import COMMAND_UNITS, command_column
 from hystmpc.trials.run_folder import RunFolder
 
+from ..axes import columns
 from .sample import TAKEN, Sample, ThreadedSink
 
 FLUSH_S = 0.5
@@ -52,6 +54,7 @@ class RecordingMeta:
     models: tuple[Path, ...] = ()  # model files of the run; their SHA-256 is recorded
     command_line: tuple[str, ...] | None = None  # that started the run; the process's own where None
     stages: tuple[str, ...] = ()  # names of the stages with a column in log.csv; the first sample's where empty
+    axes: int = 1  # number of commands and of angles
 
     def __post_init__(self) -> None:
         if self.unit not in COMMAND_UNITS:
@@ -194,10 +197,10 @@ class Recording(ThreadedSink):
 
 
 def _open_logs(folder: Path, meta: RecordingMeta) -> tuple[_Log, ...]:
-    command = f"command_{meta.unit}"
+    command = f"command_{meta.unit}" if meta.axes == 1 else command_column(meta.unit)
     logs: list[_Log] = [CsvLog(folder / "log.csv", command, meta.stages)]
     if mcap_.available():
-        logs.append(McapLog(folder / "log.mcap", command))
+        logs.append(McapLog(folder / "log.mcap", command, meta.axes))
     return tuple(logs)
 
 
@@ -337,19 +340,21 @@ class McapLog:
 
     Args:
         command: name of the command's field, such as `command_mm`.
+        axes: number of commands and of angles.
 
     Raises:
         OSError: if the file cannot be created, or the disk is full or fails.
     """
 
-    def __init__(self, path: Path, command: str) -> None:
+    def __init__(self, path: Path, command: str, axes: int = 1) -> None:
         from mcap.writer import Writer  # an extra
 
         self._file = GrowingFile(path)
         self._command = command
         self._writer: Any = Writer(cast(IO[bytes], self._file), chunk_size=_CHUNK_BYTES)
         self._writer.start(profile="", library="hystmpc")
-        tip = ("time_s", command, "angle_deg", TAKEN, "reference_deg", "predicted_deg")
+        pairs = [columns(name, math.nan, axes) for name in (command, "angle_deg", "reference_deg", "predicted_deg")]
+        tip = ("time_s", *pairs[0], *pairs[1], TAKEN, *pairs[2], *pairs[3])
         self._tip = self._channel(TIP, "hystmpc.Tip", {name: ["number", "null"] for name in tip})
         timing = {"period_s": ["number", "null"], "lateness_s": ["number", "null"], "missed": ["boolean"]}
         self._timing = self._channel(TIMING, "hystmpc.Timing", timing)

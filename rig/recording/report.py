@@ -15,6 +15,8 @@ from hystmpc.trials.report import MEASURED, Heading, KeyValues, Paragraph, Piece
 from hystmpc.trials.run_folder import Column, RunFolder
 from hystmpc.trials.types import Vec, rms
 
+from ..axes import NAMES, columns
+
 Log = Mapping[str, Column]
 
 
@@ -27,11 +29,15 @@ def write_report(run: RunFolder, dropped: int = 0, problem: str = "") -> Path:
         LogError: if the log cannot be read.
     """
     log = run.log()
-    command = CANONICAL.command_column(list(log))
-    t, reference, angle, sent = (numbers(log, name) for name in ("time_s", "reference_deg", "angle_deg", command))
     pieces: list[Piece] = [Paragraph(f"Recording ended early: {problem}")] if problem else []
     pieces += [Heading("Run"), KeyValues(_figures(log, dropped)), Heading("Angle and command")]
-    pieces.append(Plot(tracked(t, reference, angle, sent, CANONICAL.command[command]), "Over time.", True))
+    for axis in _axes(log):
+        shown = {name.replace(f"_{axis}", "", 1): name for name in log} if axis else {name: name for name in log}
+        command = CANONICAL.command_column(list(shown))
+        names = ("time_s", *(shown[name] for name in ("reference_deg", "angle_deg", command)))
+        t, reference, angle, sent = (numbers(log, name) for name in names)
+        figure = tracked(t, reference, angle, sent, CANONICAL.command[command])
+        pieces.append(Plot(figure, f"Axis {axis} over time." if axis else "Over time.", True))
     pieces += [Heading("Timing"), timing_table(log, ("period_s", "lateness_s"))]
     pieces += [Plot(_histograms(log), "Time between samples, and lateness behind the deadline."), *causes(log)]
     return run.write_report(Report("Recording at the bench", tuple(pieces), str(run.path.name)))
@@ -70,9 +76,18 @@ def numbers(log: Log, name: str) -> Vec:
     return np.asarray(log[name], dtype=np.float64)
 
 
+def _axes(log: Log) -> tuple[str, ...]:
+    """Names of the axes of a log; one empty name for a single axis."""
+    return NAMES if columns(CANONICAL.angle, 0.0, len(NAMES)).keys() <= log.keys() else ("",)
+
+
 def _figures(log: Log, dropped: int) -> dict[str, object]:
-    t, angle = numbers(log, "time_s"), numbers(log, "angle_deg")
-    error = numbers(log, "reference_deg")[:-1] - angle[1:]  # wanted for the end of a sample, measured at the next one
+    t, parts = numbers(log, "time_s"), [f"_{axis}" if axis else "" for axis in _axes(log)]
+    angles = [numbers(log, f"angle{part}_deg") for part in parts]
+    angle = angles[0] if len(angles) == 1 else np.hypot(*angles)
+    # wanted for the end of a sample, measured at the next one; of two axes the distance in their plane
+    errors = [numbers(log, f"reference{p}_deg")[:-1] - one[1:] for p, one in zip(parts, angles, strict=True)]
+    error = errors[0] if len(errors) == 1 else np.hypot(*errors)
     known = error[np.isfinite(error)]
     figures: dict[str, object] = {"samples": t.size, "duration [s]": float(t[-1] - t[0])}
     if known.size:

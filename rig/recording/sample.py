@@ -11,6 +11,8 @@ from typing import Protocol, final
 
 from hystmpc.trials.layouts import CANONICAL
 
+from ..axes import PerAxis, columns, each
+
 TAKEN = "angle_taken_s"
 """Column of the time at which the angle of a row was taken."""
 
@@ -23,12 +25,12 @@ class Sample:
 
     t_s: float  # monotonic time since the start of the run [s]
     wall_ns: int  # wall clock [ns since 1970]; it may jump, `t_s` may not
-    reference_deg: float  # wanted angle at the end of the sample [deg]
-    measured_deg: float  # measured angle, NaN without a usable one [deg]
-    command: float  # really sent, in the run's unit; of the source `wait` the reported one, since nothing was sent
+    reference_deg: PerAxis  # wanted angle at the end of the sample [deg]
+    measured_deg: PerAxis  # measured angle, NaN without a usable one [deg]
+    command: PerAxis  # really sent, in the run's unit; of the source `wait` the reported one, since nothing was sent
     source: str  # origin: mpc, shifted plan, inverse, hold, stop, wait, return, await start, or a preparation step
     status: str  # one line of explanation
-    predicted_deg: float  # angle predicted for the end of the sample, NaN without one [deg]
+    predicted_deg: PerAxis  # angle predicted for the end of the sample, NaN without one [deg]
     stages_s: tuple[tuple[str, float], ...]  # name and duration of every stage, such as estimate, plan, total [s]
     period_s: float  # time since the previous sample's start [s]
     lateness_s: float  # delay of the sample's start after its deadline [s]
@@ -38,14 +40,18 @@ class Sample:
     taken_s: float = math.nan  # when the angle was taken, on the clock of `t_s`: earlier for a frame; NaN without one
 
     def motion(self, command: str) -> dict[str, float]:
-        """Time, command and angles by the name of their column; `command` is that of the command, as `command_mm`."""
+        """Time, command and angles by the name of their column; `command` is that of the command, as `command_mm`.
+
+        Two axes have a column each: `command_x`, `command_y`, `angle_x_deg`, `angle_y_deg`.
+        """
+        axes = len(each(self.command))
         return {
             CANONICAL.time: self.t_s,
-            command: self.command,
-            CANONICAL.angle: self.measured_deg,
+            **columns(command, self.command, axes),
+            **columns(CANONICAL.angle, self.measured_deg, axes),
             TAKEN: self.taken_s,
-            "reference_deg": self.reference_deg,
-            "predicted_deg": self.predicted_deg,
+            **columns("reference_deg", self.reference_deg, axes),
+            **columns("predicted_deg", self.predicted_deg, axes),
         }
 
 

@@ -9,6 +9,7 @@ from typing import final
 
 from hystmpc.ctrl.command import CommandLimits
 
+from ..axes import PerAxis, each, in_words, is_known, is_near, spread, together
 from .intake import Observation
 
 _S = 1e-9
@@ -27,46 +28,57 @@ class Gate:
         u_k in [lower, upper],   |u_k - u_(k-1)| <= rate * min(max(t_k - t_(k-1), dt / 10), dt)
 
     u_(k-1) is the last command that was really sent or, after `anchor`, the command that the device reports as held.
+    The limits are those of each axis; a command with another count of numbers is none, and the last one is held.
+
+    Args:
+        limits: of the command, or of both commands of two axes.
     """
 
-    def __init__(self, limits: CommandLimits, dt_s: float) -> None:
-        self._limits, self._dt = limits, dt_s
+    def __init__(self, limits: CommandLimits | tuple[CommandLimits, ...], dt_s: float) -> None:
+        self._limits: tuple[CommandLimits, ...] = each(limits)
+        self._dt = dt_s
         self._sent_ns: int | None = None
         self.anchored = False
-        self.last = math.nan
-        self.velocity = 0.0
+        self.last = together(math.nan for _ in self._limits)
+        self.velocity = together(0.0 for _ in self._limits)
         self.clipped = 0
 
-    def anchor(self, held: float) -> bool:
+    def anchor(self, held: PerAxis) -> bool:
         """Set the held command, at rest, as the start of the rate limit; no effect and False beyond the limits."""
-        low, high = self._limits.lower, self._limits.upper
-        slack = _ROUNDING * (high - low)
-        if not low - slack <= held <= high + slack:
-            return False
-        self.last, self.velocity, self._sent_ns, self.anchored = min(max(held, low), high), 0.0, None, True
+        inside: list[float] = []
+        for limits, one in zip(self._limits, spread(held, len(self._limits)), strict=True):
+            slack = _ROUNDING * (limits.upper - limits.lower)
+            if not limits.lower - slack <= one <= limits.upper + slack:
+                return False
+            inside.append(min(max(one, limits.lower), limits.upper))
+        self.last, self._sent_ns, self.anchored = together(inside), None, True
+        self.velocity = together(0.0 for _ in self._limits)
         return True
 
     def lose(self) -> None:
         """Mark the held command as unknown."""
         self.anchored = False
-        self.velocity = 0.0
+        self.velocity = together(0.0 for _ in self._limits)
 
-    def admissible(self, wanted: float, now_ns: int) -> float:
+    def admissible(self, wanted: PerAxis, now_ns: int) -> PerAxis:
         """Admissible command nearest to the requested one at monotonic time `now_ns` [ns]; never raises."""
-        u = self._limits.clip(wanted, self.last, self._elapsed_s(now_ns))
-        self.clipped += not abs(u - wanted) <= 1e-12
+        elapsed_s, requested = self._elapsed_s(now_ns), spread(wanted, len(self._limits))
+        pairs = zip(self._limits, requested, each(self.last), strict=True)
+        u = together([limits.clip(one, last, elapsed_s) for limits, one, last in pairs])
+        self.clipped += not is_near(u, wanted, 1e-12)
         return u
 
     def numbers(self) -> Mapping[str, float] | None:
-        """Initial state of the same limits in C; None before the first sent command."""
-        if not self.anchored or self._sent_ns is None:
+        """Initial state of the same limits in C; None before the first sent command, and for two axes."""
+        if not self.anchored or self._sent_ns is None or len(self._limits) != 1:
             return None
-        limits = {"lower": self._limits.lower, "upper": self._limits.upper, "rate": self._limits.rate}
+        (one,) = self._limits
+        limits = {"lower": one.lower, "upper": one.upper, "rate": one.rate}
         return {**limits, "dt_s": self._dt, "last": self.last, "gate_ns": self._sent_ns}
 
-    def sent(self, u: float, now_ns: int) -> None:
+    def sent(self, u: PerAxis, now_ns: int) -> None:
         """Record the command `u`, sent at `now_ns` [ns], as the start of the next rate limit."""
-        self.velocity = (u - self.last) / self._dt
+        self.velocity = together([(new - old) / self._dt for new, old in zip(each(u), each(self.last), strict=True)])
         self.last, self._sent_ns = u, now_ns
 
     def _elapsed_s(self, now_ns: int) -> float:
@@ -90,7 +102,8 @@ class Anchor:
     have acted: anything between the last command and the safe one is. A device that reports anything else for two
     seconds is left alone.
 
-    A device that never reports its command is taken to hold the last command for `gap_s`, and never longer.
+    A device that never reports its command is taken to hold the last command for `gap_s`, and never longer. Of two axes
+    all of this holds for each command, and nothing is sent to either while one is unknown.
 
     Args:
         gate: to be anchored; anchored already where the user has declared the command of a silent device.
@@ -102,12 +115,12 @@ class Anchor:
     """
 
     def __init__(
-        self, gate: Gate, tolerance: float, gap_s: float, silence_s: float, safe: float, watchdog_s: float
+        self, gate: Gate, tolerance: float, gap_s: float, silence_s: float, safe: PerAxis, watchdog_s: float
     ) -> None:
         self._gate, self._tolerance, self._safe = gate, tolerance, safe
         self._gap_ns, self._silence_ns = round(gap_s / _S), round(silence_s / _S)
         self._watchdog_ns = round(watchdog_s / _S)
-        self._recent: deque[tuple[int, float]] = deque()
+        self._recent: deque[tuple[int, PerAxis]] = deque()
         self._reports_held = False
         self._sent_ns: int | None = None
         self._lost_ns: int | None = None
@@ -122,7 +135,7 @@ class Anchor:
         In the first sample after a gap, `moved` reports a held command other than the sent one. `given_up` is the
         reason for which no further command is sent. `boot_ns` is the present time, suspension included [ns].
         """
-        self._reports_held = self._reports_held or math.isfinite(seen.held)
+        self._reports_held = self._reports_held or is_known(seen.held)
         self._judged_ns = boot_ns
         self.moved = ""
         away = self._sent_ns is not None and boot_ns - self._sent_ns > self._gap_ns
@@ -159,43 +172,48 @@ class Anchor:
         self._implausible_ns = None
         self._lost_ns = self._reported_ns = boot_ns
 
-    def _at_rest(self, held: float, boot_ns: int) -> float:
+    def _at_rest(self, held: PerAxis, boot_ns: int) -> PerAxis:
         """Held command once it is at rest, NaN until then."""
-        if math.isnan(held):
+        if not is_known(held):
             return math.nan
         self._reported_ns = boot_ns
         recent = self._recent
         recent.append((boot_ns, held))
         while len(recent) > 2 and recent[1][0] <= boot_ns - _STILL_NS:
             recent.popleft()  # the report in force at the start of the window is kept
-        values = [u for _, u in recent]
-        still = max(values) - min(values) <= _STILL * self._tolerance
+        of_axes = zip(*(each(u) for _, u in recent), strict=True)
+        still = all(max(values) - min(values) <= _STILL * self._tolerance for values in of_axes)
         return held if still and boot_ns - recent[0][0] >= _STILL_NS else math.nan
 
-    def _anchored_at(self, held: float, boot_ns: int) -> bool:
-        if math.isnan(held) or not self._credible(held, boot_ns):
+    def _anchored_at(self, held: PerAxis, boot_ns: int) -> bool:
+        if not is_known(held) or not self._credible(held, boot_ns):
             return False
         before = self._gate.last
         if not self._gate.anchor(held):
-            self.given_up = f"the device holds {held:.6g}, which is beyond the limits"
+            self.given_up = f"the device holds {in_words(held)}, which is beyond the limits"
             return False
-        if abs(held - before) > self._tolerance:
-            self.moved = f"the device does not follow: it holds {held:.4g}, sent was {before:.4g}"
+        if is_known(before) and not is_near(held, before, self._tolerance):
+            here, there = in_words(held, ".4g"), in_words(before, ".4g")
+            self.moved = f"the device does not follow: it holds {here}, sent was {there}"
         self._lost_ns = self._implausible_ns = None
         return True
 
-    def _credible(self, held: float, boot_ns: int) -> bool:
+    def _credible(self, held: PerAxis, boot_ns: int) -> bool:
         """Whether the reported held command can follow from the last command or the device's watchdog."""
-        last, sent_ns = self._gate.last, self._sent_ns
+        last, sent_ns, tolerance = self._gate.last, self._sent_ns, self._tolerance
         if sent_ns is None:
             return True
         goal = self._safe if boot_ns - sent_ns >= self._watchdog_ns else last
-        if math.isnan(goal) or min(last, goal) - self._tolerance <= held <= max(last, goal) + self._tolerance:
+        if not is_known(goal) or all(
+            min(a, b) - tolerance <= one <= max(a, b) + tolerance
+            for one, a, b in zip(each(held), each(last), each(goal), strict=True)
+        ):
             return True
         self._implausible_ns = boot_ns if self._implausible_ns is None else self._implausible_ns
         if boot_ns - self._implausible_ns > _IMPLAUSIBLE_NS:
             self.given_up = (
-                f"the device says that it holds {held:.4g}, to which nothing has led it; sent was {last:.4g}"
+                f"the device says that it holds {in_words(held, '.4g')}, to which nothing has led it; "
+                f"sent was {in_words(last, '.4g')}"
             )
         return False
 

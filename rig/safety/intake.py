@@ -13,8 +13,9 @@ from pydantic import Field, model_validator
 from hystmpc.ctrl.estimation.observer import ANGLE_BOUND_DEG
 from hystmpc.trials.config import Count, Positive, Settings
 
+from ..axes import NAMES, PerAxis, each, is_known, of_axis, spread, together
 from ..transports.transport import NEW, REPLAYED, Order, Reading
-from .plausibility import DriveFollowing, MotionWatch
+from .plausibility import DriveFollowing, MotionWatch, Watch
 
 OUTSIDE = "out-of-range"
 
@@ -114,17 +115,17 @@ class Observation:
 
     `held` is the command that the device holds, from a new reading that is not stale, whatever its angle; NaN without
     one, or where the device does not listen to this session. Limits of the tip are judged by `shown_deg`, since an
-    implausible angle may be true.
+    implausible angle may be true. Of two axes each angle is accepted by itself.
     """
 
-    angle_deg: float  # newest accepted angle, NaN without a new one
-    faults: tuple[str, ...]  # names of rejected or missing measurements
+    angle_deg: PerAxis  # newest accepted angle, NaN without a new one
+    faults: tuple[str, ...]  # names of rejected or missing measurements; of one of two axes with its name: `x-jump`
     dead: str  # cause of a stop, empty without one
-    held: float = math.nan
+    held: PerAxis = math.nan
     follows: bool = True  # whether the device holds recent commands; True without reports
     frames: tuple[ObservedFrame, ...] = ()  # accepted, in the order of arrival; none of a continuous sensor
     age_s: float = 0.0  # of `angle_deg`: 0 of a continuous sensor, which shows the present [s]
-    shown_deg: float = math.nan  # newest angle that is not stale, accepted or not; NaN without one [deg]
+    shown_deg: PerAxis = math.nan  # newest angle that is not stale, accepted or not; NaN without one [deg]
 
 
 @final
@@ -172,6 +173,88 @@ def _sum(times: deque[tuple[int, float]], more_s: float, now_ns: int) -> float:
 
 
 @final
+class AngleChecks:
+    """Checks of the angle of one axis: range, rate, repetition and silence.
+
+    Attributes:
+        accepted_ns, angle: time and angle accepted last [ns, deg]; the angle is not-a-number before the first.
+        fresh: angle accepted in this sample; not-a-number without one [deg].
+        shown_deg: angle of this sample that is not stale, accepted or not; not-a-number without one.
+        faults: of this sample.
+    """
+
+    def __init__(self, settings: SensorSettings, start_ns: int) -> None:
+        self._settings = settings
+        self.accepted_ns, self.angle = start_ns, math.nan
+        self.rated: tuple[int, float] | None = None  # the accepted angle from which the rate counts
+        self.repeats, self.travel = 0, 0.0
+        self._slope, self._turns = 0.0, 0  # of the angle
+        self._equal = self._same = 0  # its repetitions, up to the last change and since
+        longest_s = settings.silence_s  # frames are farther apart than the age limit of an angle
+        self._absences = DropoutMonitor(settings.age_limit_s if settings.kind == "continuous" else longest_s, longest_s)
+        self.fresh = self.shown_deg = math.nan
+        self.faults: list[str] = []
+
+    def begin(self, travel: float) -> None:
+        """Start a sample, before which the commands have travelled by `travel`."""
+        self.fresh = self.shown_deg = math.nan
+        self.faults = []
+        self.travel += travel
+
+    def fault(self, angle: float, taken_ns: int) -> str:
+        """Cause of a rejection of an angle [deg] taken at a monotonic time [ns]; empty if it is plausible."""
+        settings = self._settings
+        if not math.isfinite(angle):
+            return "not-a-number"
+        self.shown_deg = angle
+        if not settings.lower_deg <= angle <= settings.upper_deg:
+            return OUTSIDE
+        if self.rated is not None:
+            elapsed_s = max(_S * abs(taken_ns - self.rated[0]), _RATE_S)
+            if abs(angle - self.rated[1]) > settings.rate_limit_deg_s * elapsed_s:
+                return "jump"
+        self._count_turns(angle)
+        if angle != self.angle:
+            self.repeats, self.travel = 0, 0.0
+            return ""
+        self.repeats += 1
+        count = self.frozen_samples
+        return "frozen" if count and self.repeats >= count and self.travel >= settings.frozen_travel else ""
+
+    @property
+    def frozen_samples(self) -> int:
+        """Number of repetitions that indicate a frozen sensor; 0 for a sensor without noise in all of its angles."""
+        noisy = self._turns >= _NOISY and self._equal <= self._turns // _NOISY
+        return self._settings.frozen_samples or 0 if noisy else 0
+
+    def accept(self, angle: float, taken_ns: int) -> bool:
+        """Accept an angle; return False if it was measured before the last accepted one."""
+        if taken_ns < self.accepted_ns and math.isfinite(self.angle):
+            return False
+        self.accepted_ns, self.angle, self.fresh = taken_ns, angle, angle
+        if self.rated is None or taken_ns - self.rated[0] >= _RATE_S / _S:
+            self.rated = taken_ns, angle
+        return True
+
+    def silence(self, now_ns: int, readings: int) -> str:
+        """Cause of a stop for a missing angle, empty without one; called once a sample with its number of readings."""
+        silent_s = _S * (now_ns - self.accepted_ns)
+        if silent_s > self._settings.silence_s:
+            return f"sensor dead: no plausible angle for {silent_s:.2f} s ({', '.join(sorted(set(self.faults)))})"
+        return self._absences.judge(readings, self.faults, silent_s, now_ns)
+
+    def _count_turns(self, angle: float) -> None:
+        """Count reversals of the angle, caused by noise, and repeated angles, caused by a coarse sensor."""
+        slope = angle - self.angle
+        if slope == 0.0:
+            self._same += 1
+            return
+        self._equal, self._same = self._equal + self._same, 0
+        self._turns += slope * self._slope < 0.0
+        self._slope = slope
+
+
+@final
 class Intake:
     """Checks of readings in the order of arrival.
 
@@ -184,31 +267,30 @@ class Intake:
     alone, and its age is `latency_s` more. It is compared with the frame taken before it, and with the command of the
     moment at which it was taken.
 
+    A reading of two axes has two angles, which are checked and accepted each by itself. One that is missing for too
+    long stops the run, as that of a single axis does.
+
     Args:
         start_ns: monotonic time from which silence counts [ns].
         watch: compares commanded with measured motion; None does not.
+        axes: number of angles and commands in a reading.
     """
 
-    def __init__(self, settings: SensorSettings, start_ns: int, watch: MotionWatch | None = None) -> None:
+    def __init__(self, settings: SensorSettings, start_ns: int, watch: Watch | None = None, axes: int = 1) -> None:
         self._settings, self._order, self._watch = settings, Order(), watch
-        self._accepted_ns, self._angle = start_ns, math.nan
-        self._rated: tuple[int, float] | None = None  # the accepted angle from which the rate counts
+        self._angles = [AngleChecks(settings, start_ns) for _ in range(axes)]
         self._flight_ns: dict[bool, tuple[float, int]] = {}  # least time of flight, and time of its last update
-        self._repeats, self._travel, self._command = 0, 0.0, math.nan
-        self._slope, self._turns = 0.0, 0  # of the angle
-        self._equal = self._same = 0  # its repetitions, up to the last change and since
-        longest_s = settings.silence_s  # frames are farther apart than the age limit of an angle
-        self._absences = DropoutMonitor(settings.age_limit_s if settings.kind == "continuous" else longest_s, longest_s)
-        self._shown_deg = math.nan
-        self._followed = DriveFollowing(settings.held_tolerance, settings.dead_after_s)
+        self._command: PerAxis = together([math.nan] * axes)
+        following = settings.held_tolerance, settings.dead_after_s
+        self._followed = [DriveFollowing(*following) for _ in range(axes)]
         self._dead = ""
-        self._held = math.nan
+        self._held: PerAxis = math.nan
         self._reports_held = False
         self._shown: tuple[int, float] | None = None
-        self._past: deque[tuple[int, float]] = deque()
+        self._past: deque[tuple[int, PerAxis]] = deque()
         self.counts: Counter[str] = Counter()
 
-    def judge(self, readings: list[Reading], now_ns: int, command: float) -> Observation:
+    def judge(self, readings: list[Reading], now_ns: int, command: PerAxis) -> Observation:
         """Newest plausible angle among the readings that have arrived, with the faults of the others.
 
         `command` is the one sent last: its travel distinguishes a frozen sensor from a resting one; NaN before the
@@ -216,57 +298,59 @@ class Intake:
         """
         faults: list[str] = []
         frames: list[ObservedFrame] = []
-        angle = self._held = self._shown_deg = math.nan
-        seen_ns, continuous = now_ns, self._settings.kind == "continuous"
-        self._travel += abs(command - self._command) if math.isfinite(command - self._command) else 0.0
-        self._command = command
-        self._remember(command, now_ns)
+        angles, continuous = self._angles, self._settings.kind == "continuous"
+        self._held, seen_ns = math.nan, now_ns
+        self._begin(command, now_ns)
         for reading in readings:
             fault, taken_ns = self._judged(reading, now_ns)
             if fault:
-                faults.append(fault)
+                self._reject(faults, fault)
             elif taken_ns is not None:
+                plausible, accepted = self._accept(reading, taken_ns, faults)
                 if not continuous:
-                    frames.append(ObservedFrame(reading.angle_deg, _S * (now_ns - taken_ns)))
-                if self._accept(reading, taken_ns):
-                    angle, seen_ns = reading.angle_deg, now_ns if continuous else taken_ns
-        if continuous and math.isnan(angle) and not faults:
-            faults.append("no-angle")
-        follows, stray = self._followed.judge(self._held, command, now_ns)
+                    frames += [ObservedFrame(angle, _S * (now_ns - taken_ns)) for angle in plausible]
+                if accepted:
+                    seen_ns = now_ns if continuous else taken_ns
+        for i, one in enumerate(angles if continuous else ()):
+            if math.isnan(one.fresh) and not one.faults:
+                self._reject(faults, "no-angle", i)
+        follows, stray = self._follows(command, now_ns)
         if not follows:
-            faults.append("not-followed")
-        self._dead = self._dead or stray or self._implausible_motion(angle, seen_ns)
-        self._dead = self._dead or self._silence(now_ns, len(readings), faults)
+            self._reject(faults, "not-followed")
+        angle_deg = together([one.fresh for one in angles])
+        self._dead = self._dead or stray or self._implausible_motion(angle_deg, seen_ns)
+        self._dead = self._dead or self._silence(now_ns, len(readings))
         self.counts.update(faults)
-        age_s, shown_deg = _S * (now_ns - seen_ns), self._shown_deg
+        age_s, shown_deg = _S * (now_ns - seen_ns), together([one.shown_deg for one in angles])
         return Observation(
-            angle, tuple(dict.fromkeys(faults)), self._dead, self._held, follows, tuple(frames), age_s, shown_deg
+            angle_deg, tuple(dict.fromkeys(faults)), self._dead, self._held, follows, tuple(frames), age_s, shown_deg
         )
 
     def numbers(self, dt_s: float, recent: int) -> Mapping[str, Any] | None:
         """Initial state of the same checks in C, for `recent` commands; None if sensor or state is not supported."""
-        settings, watch, rated = self._settings, self._watch, self._rated
-        if settings.kind != "continuous" or watch is None or rated is None:
+        settings, watch, one = self._settings, self._watch, self._angles[0]
+        rated = one.rated
+        if settings.kind != "continuous" or not isinstance(watch, MotionWatch) or rated is None:
             return None
         least_ns, heard_ns = self._flight_ns[False]
         return {
             **self._order.numbers(),
             **watch.numbers(),
-            **self._followed.recent(dt_s, recent),
+            **self._followed[0].recent(dt_s, recent),
             "angle_low": settings.lower_deg,
             "angle_high": settings.upper_deg,
             "angle_rate": settings.rate_limit_deg_s,
             "age_limit_s": settings.age_limit_s,
-            "frozen_samples": self._frozen_samples,
+            "frozen_samples": one.frozen_samples,
             "frozen_travel": settings.frozen_travel,
-            "accepted_ns": self._accepted_ns,
-            "angle": self._angle,
+            "accepted_ns": one.accepted_ns,
+            "angle": one.angle,
             "rated_ns": rated[0],
             "rated": rated[1],
             "flight_ns": least_ns,
             "heard_ns": heard_ns,
-            "repeats": self._repeats,
-            "travelled": self._travel,
+            "repeats": one.repeats,
+            "travelled": one.travel,
             "command": self._command,
         }
 
@@ -275,8 +359,50 @@ class Intake:
         """Number of measurements that were sent and never arrived."""
         return self._order.lost
 
+    def _begin(self, command: PerAxis, now_ns: int) -> None:
+        """Start a sample, after the command sent last; a motion of either axis tells a frozen from a still sensor."""
+        now, travel = spread(command, len(self._angles)), 0.0
+        for new, old in zip(now, each(self._command), strict=True):
+            travel += abs(new - old)
+        for one in self._angles:
+            one.begin(travel if math.isfinite(travel) else 0.0)
+        self._command = together(now)
+        self._remember(self._command, now_ns)
+
+    def _accept(self, reading: Reading, taken_ns: int, faults: list[str]) -> tuple[list[float], bool]:
+        """Check the angles of a reading; return the plausible ones, and whether one of them is the newest."""
+        plausible: list[float] = []
+        accepted = False
+        for i, angle in enumerate(spread(reading.angle_deg, len(self._angles))):
+            if fault := self._angles[i].fault(angle, taken_ns):
+                self._reject(faults, fault, i)
+            else:
+                plausible.append(angle)
+                accepted |= self._angles[i].accept(angle, taken_ns)
+        return plausible, accepted
+
+    def _reject(self, faults: list[str], fault: str, axis: int | None = None) -> None:
+        """Note a fault of a reading or of an axis in the faults of the sample and of each axis concerned."""
+        several = len(self._angles) > 1 and axis is not None
+        faults.append(f"{NAMES[axis]}-{fault}" if several and axis is not None else fault)
+        for one in self._angles if axis is None else [self._angles[axis]]:
+            one.faults.append(fault)
+
+    def _follows(self, command: PerAxis, now_ns: int) -> tuple[bool, str]:
+        """Whether the drives of all axes follow, and the cause of a stop, empty without one."""
+        axes = len(self._angles)
+        every, stray = True, ""
+        pairs = zip(self._followed, spread(self._held, axes), spread(command, axes), strict=True)
+        for i, (drive, held, sent) in enumerate(pairs):
+            follows, cause = drive.judge(held, sent, now_ns)
+            every, stray = every and follows, stray or of_axis(cause, i, axes)
+        return every, stray
+
     def _judged(self, reading: Reading, now_ns: int) -> tuple[str, int | None]:
-        """Cause of a rejection (empty if accepted), and the time of measurement [ns] (None without an angle)."""
+        """Cause of a rejection of the whole reading (empty if there is none), and the time of measurement [ns].
+
+        The time is None without an angle.
+        """
         verdict = self._order.judge(reading.session, reading.sequence)
         if verdict == REPLAYED:
             return verdict, None
@@ -289,21 +415,21 @@ class Intake:
         if not (fresh or frame):
             return "stale", None
         if fresh:
-            reports_held = math.isfinite(reading.held)
+            reports_held = is_known(reading.held)
             self._held = reading.held if reading.listens and reports_held else math.nan
             self._reports_held = self._reports_held or reports_held
         if frame:
             age_s += settings.latency_s
-            taken_ns = now_ns - round(age_s / _S)
-            return "stale" if age_s > settings.oldest_frame_s else self._implausible(reading, taken_ns), taken_ns
+            return "stale" if age_s > settings.oldest_frame_s else "", now_ns - round(age_s / _S)
         if settings.kind == "continuous":
-            return self._implausible(reading, reading.received_ns), reading.received_ns
+            return "", reading.received_ns
         if settings.kind == "none":
-            self._accepted_ns = reading.received_ns
+            for one in self._angles:
+                one.accepted_ns = reading.received_ns
         return "", None
 
     def _is_frame(self, reading: Reading) -> bool:
-        if self._settings.kind != "intermittent" or not math.isfinite(reading.angle_deg):
+        if self._settings.kind != "intermittent" or not is_known(reading.angle_deg):
             return False
         before, self._shown = self._shown, (reading.sent_ns, reading.angle_deg)
         return self._shown != before
@@ -315,57 +441,13 @@ class Intake:
         self._flight_ns[frame] = least, heard_ns
         return _S * (now_ns - heard_ns + flight - least)
 
-    def _implausible(self, reading: Reading, taken_ns: int) -> str:
-        settings, angle = self._settings, reading.angle_deg
-        if not math.isfinite(angle):
-            return "not-a-number"
-        self._shown_deg = angle
-        if not settings.lower_deg <= angle <= settings.upper_deg:
-            return OUTSIDE
-        if self._rated is not None:
-            elapsed_s = max(_S * abs(taken_ns - self._rated[0]), _RATE_S)
-            if abs(angle - self._rated[1]) > settings.rate_limit_deg_s * elapsed_s:
-                return "jump"
-        self._count_turns(angle)
-        if angle != self._angle:
-            self._repeats, self._travel = 0, 0.0
-            return ""
-        self._repeats += 1
-        count = self._frozen_samples
-        return "frozen" if count and self._repeats >= count and self._travel >= settings.frozen_travel else ""
-
-    def _count_turns(self, angle: float) -> None:
-        """Count reversals of the angle, caused by noise, and repeated angles, caused by a coarse sensor."""
-        slope = angle - self._angle
-        if slope == 0.0:
-            self._same += 1
-            return
-        self._equal, self._same = self._equal + self._same, 0
-        self._turns += slope * self._slope < 0.0
-        self._slope = slope
-
-    @property
-    def _frozen_samples(self) -> int:
-        """Number of repetitions that indicate a frozen sensor; 0 for a sensor without noise in all of its angles."""
-        noisy = self._turns >= _NOISY and self._equal <= self._turns // _NOISY
-        return self._settings.frozen_samples or 0 if noisy else 0
-
-    def _accept(self, reading: Reading, taken_ns: int) -> bool:
-        """Accept an angle; return False if it was measured before the last accepted one."""
-        if taken_ns < self._accepted_ns and math.isfinite(self._angle):
-            return False
-        self._accepted_ns, self._angle = taken_ns, reading.angle_deg
-        if self._rated is None or taken_ns - self._rated[0] >= _RATE_S / _S:
-            self._rated = taken_ns, reading.angle_deg
-        return True
-
-    def _implausible_motion(self, angle: float, seen_ns: int) -> str:
-        if self._watch is None or math.isnan(angle):
+    def _implausible_motion(self, angle: PerAxis, seen_ns: int) -> str:
+        if self._watch is None or not is_known(angle):
             return ""
         then = next((u for at_ns, u in self._past if at_ns >= seen_ns), self._command)
         return self._watch.judge(angle, then, seen_ns)
 
-    def _remember(self, command: float, now_ns: int) -> None:
+    def _remember(self, command: PerAxis, now_ns: int) -> None:
         """Store the commands that a later frame may belong to; each was in force until `now_ns`."""
         if self._settings.kind != "intermittent":
             return
@@ -373,12 +455,14 @@ class Intake:
         while self._past[0][0] < now_ns - self._settings.oldest_frame_s / _S:
             self._past.popleft()
 
-    def _silence(self, now_ns: int, readings: int, faults: list[str]) -> str:
+    def _silence(self, now_ns: int, readings: int) -> str:
         """Cause of a stop for a missing angle or, without a sensor, for a silent device."""
-        silent_s, wants_angle = _S * (now_ns - self._accepted_ns), self._settings.kind != "none"
-        if not wants_angle:
-            silent = self._reports_held and silent_s > self._settings.silence_s
-            return f"device silent: no word of what it holds for {silent_s:.2f} s" if silent else ""
-        if silent_s > self._settings.silence_s:
-            return f"sensor dead: no plausible angle for {silent_s:.2f} s ({', '.join(sorted(set(faults)))})"
-        return self._absences.judge(readings, faults, silent_s, now_ns)
+        if self._settings.kind != "none":
+            dead, axes = "", len(self._angles)
+            for i, one in enumerate(self._angles):
+                cause = one.silence(now_ns, readings)
+                dead = dead or of_axis(cause, i, axes)
+            return dead
+        silent_s = _S * (now_ns - self._angles[0].accepted_ns)
+        silent = self._reports_held and silent_s > self._settings.silence_s
+        return f"device silent: no word of what it holds for {silent_s:.2f} s" if silent else ""

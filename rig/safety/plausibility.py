@@ -6,9 +6,15 @@ import ctypes
 import math
 from collections import deque
 from collections.abc import Mapping
-from typing import Any, final
+from dataclasses import dataclass
+from typing import Any, Protocol, final
+
+import numpy as np
 
 from hystmpc.trials.config import Positive, Settings
+from hystmpc.trials.types import Vec
+
+from ..axes import PerAxis, each, is_known, of_axis
 
 _S = 1e-9
 SMOOTH_S = 0.2
@@ -54,8 +60,16 @@ class PlausibilitySettings(Settings):
         return self.moves_deg or _ANGLE_SHARE * angle_range_deg
 
 
+class Watch(Protocol):
+    """Interface of a monitor of commanded and measured motion, of one axis or of two."""
+
+    def judge(self, angle_deg: PerAxis, command: PerAxis, now_ns: int) -> str:
+        """Cause of a stop, empty without one."""
+        ...
+
+
 @final
-class MotionWatch:
+class MotionWatch(Watch):
     """Monitor of commanded travel without angular motion, or with angular motion in the opposite direction.
 
     The angle is smoothed over 0.2 s. The command u is followed as a device of the slowest allowed lag would do:
@@ -166,6 +180,49 @@ class MotionWatch:
 def _followed(lagged: float, value: float, share: float) -> float:
     """First-order lag of a value after `share` time constants; the value itself at the first call."""
     return value if math.isnan(lagged) else lagged + (1.0 - math.exp(-share)) * (value - lagged)
+
+
+@dataclass(frozen=True, eq=False)
+class AxesFrame:
+    """Coordinates in which one command moves one angle: w = M u, y = A^-1 theta.
+
+    Attributes:
+        mix: M (2, 2), travels by commands.
+        unframe: the inverse of A (2, 2), angles of the axes by measured ones.
+        spans: range of each travel.
+    """
+
+    mix: Vec
+    unframe: Vec
+    spans: tuple[float, float]
+
+
+@final
+class PlaneWatch(Watch):
+    """Monitors of the motion of two axes, each in the coordinates of the axes, see `AxesFrame`.
+
+    A sample without one of both angles is not judged.
+
+    Args:
+        frame: of the device.
+        angle_range_deg: plausible range of each angle [deg].
+        closed_loop: as of `MotionWatch`.
+    """
+
+    def __init__(
+        self, settings: PlausibilitySettings, frame: AxesFrame, angle_range_deg: float, closed_loop: bool = False
+    ) -> None:
+        self._frame = frame
+        self._watches = [MotionWatch(settings, span, angle_range_deg, closed_loop) for span in frame.spans]
+
+    def judge(self, angle_deg: PerAxis, command: PerAxis, now_ns: int) -> str:
+        if not (is_known(angle_deg) and is_known(command)):
+            return ""
+        angles = (self._frame.unframe @ np.array(each(angle_deg))).tolist()
+        travels = (self._frame.mix @ np.array(each(command))).tolist()
+        parts = zip(self._watches, angles, travels, strict=True)
+        causes = [watch.judge(angle, travel, now_ns) for watch, angle, travel in parts]
+        return next((of_axis(cause, i, len(causes)) for i, cause in enumerate(causes) if cause), "")
 
 
 @final

@@ -27,13 +27,15 @@ class DdsSettings(TopicSettings):
 
         return dds_transport(self, run.conversion)
 
-    def listen(self, silence_s: float, through: SocketWrapper | None) -> DeviceLink:
+    def listen(self, silence_s: float, through: SocketWrapper | None, axes: int = 1) -> DeviceLink:
         """Open the device's end; faults cannot be injected in front of DDS.
 
         Raises:
-            ConfigError: if it cannot be opened, or a package is missing for it.
+            ConfigError: if it cannot be opened, a package is missing for it, or the device has two axes.
         """
         del through
+        if axes > 1:
+            raise ConfigError("link: got kind dds for a device of two axes, expected kind udp")
         require_dds()
         from .dds_ import DdsLink
 

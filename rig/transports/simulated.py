@@ -25,6 +25,7 @@ from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.types import Vec
 
+from ..axes import PerAxis, each, from_array, together
 from .transport import Reading, RunContext, Transport, TransportBase
 
 
@@ -33,7 +34,7 @@ class SimulatedTransport(Transport):
     """Transport to a `Plant` in this process; its time is the number of commands, so it has no delay.
 
     Args:
-        held: the command that the plant holds after its reset.
+        held: the command that the plant holds after its reset; of two axes a tuple.
         sensor: what is shown of its angle; a first frame shows the rest.
 
     Raises:
@@ -44,7 +45,7 @@ class SimulatedTransport(Transport):
         self,
         plant: Plant,
         dt_s: float,
-        held: float,
+        held: PerAxis,
         now_ns: Callable[[], int],
         sensor: AnySensorSettings | None = None,
         seed: int = 0,
@@ -52,7 +53,7 @@ class SimulatedTransport(Transport):
         if abs(plant.dt - dt_s) > 1e-9 * dt_s:
             raise ConfigError(f"simulated device: got a plant at {plant.dt} s, expected the loop's {dt_s} s")
         self._plant, self._held, self._now, self._dt_ns = plant, held, now_ns, round(1e9 * dt_s)
-        self._angle, self._sequence = plant.reset(), 0
+        self._angle, self._sequence = from_array(plant.reset()), 0
         self._read_ns: int | None = None
         self._continuous = sensor is None or isinstance(sensor, ContinuousSensorSettings)
         self._time_s, self._imaging, self._frames = 0.0, None, deque[ImageFrame]()
@@ -79,11 +80,11 @@ class SimulatedTransport(Transport):
         if self._read_ns is not None and now - self._read_ns < self._dt_ns // 2:
             return None
         self._read_ns, self._sequence = now, self._sequence + 1
-        angle = self._angle if self._continuous else math.nan
+        angle = self._angle if self._continuous else together([math.nan] * len(each(self._angle)))
         return Reading(angle, self._sequence, 0, now, now, self._held)
 
-    def write(self, command: float) -> None:
-        self._angle, self._held, self._read_ns = self._plant.apply(command), command, None
+    def write(self, command: PerAxis) -> None:
+        self._angle, self._held, self._read_ns = from_array(self._plant.apply(command)), command, None
         self._time_s += self._plant.dt
         if self._imaging is not None:
             frames, self._imaging = self._imaging.later(self._time_s, self._angle)
@@ -162,6 +163,10 @@ class SimulatedSettings(TransportBase):
 
     def open(self, run: RunContext) -> Transport:
         plant, held = run.plants(self, run.dt_s)
+        if (axes := len(each(held))) != run.conversion.axes:
+            raise ConfigError(
+                f"simulated device: got a plant of {axes} axes, expected {run.conversion.axes} as in limits"
+            )
         return SimulatedTransport(plant, run.dt_s, held, run.now_ns, self.sensor, self.seed)
 
 

@@ -14,13 +14,15 @@ from hystmpc.ctrl.loop import Plant
 from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError
 
+from ..axes import PerAxis, each, together
+
 
 @dataclass(frozen=True, slots=True)
 class Reading:
     """One measurement as received, before any check; angles in degrees, commands in the run's unit.
 
     Attributes:
-        angle_deg: measured tip angle, possibly not a number [deg].
+        angle_deg: measured tip angle, possibly not a number [deg]; of two axes both, as `held`.
         sequence: the sender's count, rising by one a measurement.
         session: chosen by the sender at its start; a new one means a restart.
         sent_ns: the sender's monotonic clock, of any origin [ns].
@@ -29,12 +31,12 @@ class Reading:
         listens: whether the device takes commands of this session; True where it does not report.
     """
 
-    angle_deg: float
+    angle_deg: PerAxis
     sequence: int
     session: int
     sent_ns: int
     received_ns: int
-    held: float
+    held: PerAxis
     listens: bool = True
 
     @classmethod
@@ -60,8 +62,8 @@ class Transport(Protocol):
         """Oldest unread measurement, None if there is none."""
         ...
 
-    def write(self, command: float) -> None:
-        """Send a command, in the run's unit."""
+    def write(self, command: PerAxis) -> None:
+        """Send a command, in the run's unit; of two axes both at once."""
         ...
 
     def greet(self) -> None:
@@ -102,8 +104,8 @@ class Transport(Protocol):
 class Outgoing:
     """Measurement sent by a device: raw angle and held command in the wire's units."""
 
-    angle: float
-    held: float
+    angle: PerAxis
+    held: PerAxis
     sequence: int  # rises by one a measurement
     stamp_ns: int  # sender's clock [ns]
     listens: bool = True  # whether commands are taken now, or a new greeting is needed first
@@ -116,7 +118,7 @@ Says = Literal["command", "greeting", "goodbye"]
 class Incoming:
     """Message of the admitted controller; `command` is in the wire's unit, NaN for other messages."""
 
-    command: float = math.nan
+    command: PerAxis = math.nan
     says: Says = "command"
 
 
@@ -167,17 +169,32 @@ class WireUnits(Settings):
     command_unit: CommandUnit | None = None
 
 
+Sign = Literal[1, -1]
+
+
+class PlaneWireUnits(WireUnits):
+    """Block `wire` of two axes: sign and offset are those of both angles, or a list `[x, y]`.
+
+    Attributes:
+        angle_sign: -1 where the device counts the other way; of both angles, or of each.
+        angle_offset_deg: added to the angle; to both, or to each [deg].
+    """
+
+    angle_sign: Sign | tuple[Sign, Sign] = 1  # type: ignore[assignment]  # pyright: ignore[reportIncompatibleVariableOverride]  # settings are frozen
+    angle_offset_deg: float | tuple[float, float] = 0.0  # type: ignore[assignment]  # pyright: ignore[reportIncompatibleVariableOverride]
+
+
 @dataclass(frozen=True)
 class Conversion:
-    """Conversion of raw numbers of the wire to degrees and the run's command unit, and back."""
+    """Conversion of raw numbers of the wire to degrees and the run's command unit, and back; of each axis."""
 
-    angle_factor: float
-    angle_offset_deg: float
+    angle_factor: PerAxis
+    angle_offset_deg: PerAxis
     command_factor: float
 
     @classmethod
-    def of(cls, wire: WireUnits, command_unit: str) -> Conversion:
-        """Conversion between a wire and a run.
+    def of(cls, wire: WireUnits, command_unit: str, axes: int = 1) -> Conversion:
+        """Conversion between a wire and a run of one axis or of two.
 
         Raises:
             ConfigError: if one speaks of travel and the other of pressure.
@@ -187,23 +204,33 @@ class Conversion:
             raise ConfigError(
                 f"wire: got command_unit {wire.command_unit}, expected a unit of the run's {command_unit}"
             )
-        return cls(wire.angle_sign * _TO_DEG[wire.angle_unit], wire.angle_offset_deg, factor)
+        signs, offsets = (
+            value if isinstance(value, tuple) else (value,) * axes for value in (wire.angle_sign, wire.angle_offset_deg)
+        )
+        return cls(together(sign * _TO_DEG[wire.angle_unit] for sign in signs), together(offsets), factor)
 
-    def angle_deg(self, raw: float) -> float:
+    @property
+    def axes(self) -> int:
+        """Number of axes."""
+        return len(each(self.angle_factor))
+
+    def angle_deg(self, raw: PerAxis) -> PerAxis:
         """Angle [deg] of a raw angle."""
-        return self.angle_factor * raw + self.angle_offset_deg
+        parts = zip(each(self.angle_factor), each(raw), each(self.angle_offset_deg), strict=True)
+        return together(factor * one + offset for factor, one, offset in parts)
 
-    def raw_angle(self, angle_deg: float) -> float:
+    def raw_angle(self, angle_deg: PerAxis) -> PerAxis:
         """Raw number of an angle [deg]."""
-        return (angle_deg - self.angle_offset_deg) / self.angle_factor
+        parts = zip(each(angle_deg), each(self.angle_offset_deg), each(self.angle_factor), strict=True)
+        return together((one - offset) / factor for one, offset, factor in parts)
 
-    def command(self, raw: float) -> float:
+    def command(self, raw: PerAxis) -> PerAxis:
         """Command in the run's unit of a raw command."""
-        return self.command_factor * raw
+        return together(self.command_factor * one for one in each(raw))
 
-    def raw_command(self, command: float) -> float:
+    def raw_command(self, command: PerAxis) -> PerAxis:
         """Raw number of a command in the run's unit."""
-        return command / self.command_factor
+        return together(one / self.command_factor for one in each(command))
 
 
 Peer = tuple[str, int]
@@ -234,7 +261,7 @@ SocketWrapper = Callable[[Datagrams], Datagrams]
 
 # Makes the device of `kind: simulated`: its settings and the sample time to a plant and the command that it holds.
 # Given by the program, since this room knows no simulator.
-PlantFactory = Callable[[Any, float], tuple[Plant, float]]
+PlantFactory = Callable[[Any, float], tuple[Plant, PerAxis]]
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,22 @@ A datagram has 44 bytes, little-endian:
 | 24 | f64 | reading: angle; command: command; else 0 |
 | 32 | f64 | reading: command that the device holds; else 0 |
 | 40 | u32 | CRC-32 (zlib) of the 40 bytes before |
+
+That is version 1, of a device with one axis. Version 2, of two axes, has 60 bytes. Its head is the same with version 2,
+and the numbers of both axes follow:
+
+| offset | type | field |
+|---|---|---|
+| 24 | 2 f64 | reading: angles x, y; command: commands x, y; else 0 |
+| 40 | 2 f64 | reading: commands that the device holds; else 0 |
+| 56 | u32 | CRC-32 (zlib) of the 56 bytes before |
+
+An end of one version refuses every datagram of the other one: `wrong size`.
 """
 
 from __future__ import annotations
 
 import ipaddress
-import math
 import secrets
 import socket
 import struct
@@ -37,6 +47,7 @@ from pydantic import model_validator
 from hystmpc.trials.config import Port, Settings
 from hystmpc.trials.errors import ConfigError
 
+from ..axes import PerAxis, each, is_known, together
 from .transport import (
     Admission,
     Conversion,
@@ -54,9 +65,12 @@ from .transport import (
 )
 
 MAGIC, VERSION = b"HMPC", 1
-_BODY = struct.Struct("<4sBBHIIQdd")
+_BODIES = {1: struct.Struct("<4sBBHIIQdd"), 2: struct.Struct("<4sBBHIIQdddd")}  # by version, the number of axes
 _CRC = struct.Struct("<I")
-SIZE = _BODY.size + _CRC.size
+SIZES = {axes: body.size + _CRC.size for axes, body in _BODIES.items()}
+"""Bytes of a datagram by the number of axes."""
+
+SIZE = SIZES[1]
 
 
 class Kind(IntEnum):
@@ -80,32 +94,34 @@ class Datagram:
     session: int
     sequence: int
     stamp_ns: int
-    value: float = 0.0
-    held: float = 0.0
+    value: PerAxis = 0.0
+    held: PerAxis = 0.0
 
 
 def encode(message: Datagram) -> bytes:
-    """The bytes of a datagram (44,); sequence and session wrap at 2^32."""
+    """The bytes of a datagram, (44,) of one axis and (60,) of two; sequence and session wrap at 2^32."""
     session, sequence = message.session & 0xFFFFFFFF, message.sequence & 0xFFFFFFFF
-    stamp_ns, numbers = message.stamp_ns & 0xFFFFFFFFFFFFFFFF, (message.value, message.held)
-    body = _BODY.pack(MAGIC, VERSION, message.kind, 0, session, sequence, stamp_ns, *numbers)
+    stamp_ns, value = message.stamp_ns & 0xFFFFFFFFFFFFFFFF, each(message.value)
+    numbers = *value, *each(message.held)
+    body = _BODIES[len(value)].pack(MAGIC, len(value), message.kind, 0, session, sequence, stamp_ns, *numbers)
     return body + _CRC.pack(zlib.crc32(body))
 
 
-def decode(data: bytes) -> Datagram | str:
+def decode(data: bytes, axes: int = 1) -> Datagram | str:
     """Decode a datagram, or name the fault of its bytes; never raises on bytes of any content or length."""
-    if len(data) != SIZE:
+    if len(data) != SIZES[axes]:
         return "wrong size"
-    body = data[: _BODY.size]
-    if zlib.crc32(body) != _CRC.unpack_from(data, _BODY.size)[0]:
+    layout = _BODIES[axes]
+    body = data[: layout.size]
+    if zlib.crc32(body) != _CRC.unpack_from(data, layout.size)[0]:
         return "wrong checksum"
-    magic, version, kind, zero, session, sequence, stamp_ns, value, held = _BODY.unpack(body)
-    if magic != MAGIC or version != VERSION or zero:
+    magic, version, kind, zero, session, sequence, stamp_ns, *numbers = layout.unpack(body)
+    if magic != MAGIC or version != axes or zero:
         return "wrong version"
     known = KINDS.get(kind)
     if known is None:
         return "unknown kind"
-    return Datagram(known, session, sequence, stamp_ns, value, held)
+    return Datagram(known, session, sequence, stamp_ns, together(numbers[:axes]), together(numbers[axes:]))
 
 
 _TRIES = 64  # datagrams looked at in one call; a flood of rubbish must not cost the deadline
@@ -141,7 +157,8 @@ class UdpTransport(Transport):
         except OSError as error:
             self._wire.close()
             raise ConfigError(f"udp: no way to {settings.host} port {settings.port} ({error})") from None
-        self._conversion = conversion
+        self._conversion, self._size = conversion, SIZES[conversion.axes]
+        self._nothing = together([0.0] * conversion.axes)
         self._session, self._sequence = secrets.randbits(32), 0
         self._counters: Counter[str] = Counter()
         self._answered, self._greeted_ns, self._open = False, 0, True
@@ -159,7 +176,7 @@ class UdpTransport(Transport):
                 return reading
         for _ in range(_TRIES):
             try:
-                data = self._wire.recv(SIZE + 1)
+                data = self._wire.recv(self._size + 1)
             except BlockingIOError:
                 return None
             except ConnectionRefusedError:
@@ -171,7 +188,7 @@ class UdpTransport(Transport):
 
     def reading(self, data: bytes, received_ns: int) -> Reading | None:
         """Decode the reading of a datagram; an invalid one is counted."""
-        message = decode(data)
+        message = decode(data, self._conversion.axes)
         if isinstance(message, str):
             self._counters[message] += 1
             return None
@@ -182,9 +199,11 @@ class UdpTransport(Transport):
         angle, held = self._conversion.angle_deg(message.value), self._conversion.command(message.held)
         return Reading(angle, message.sequence, message.session, message.stamp_ns, received_ns, held)
 
-    def numbers(self) -> Mapping[str, float]:
-        """Socket, session and conversion for reading and writing by a loop in C."""
+    def numbers(self) -> Mapping[str, float] | None:
+        """Socket, session and conversion for reading and writing by a loop in C; None for two axes."""
         conversion = self._conversion
+        if conversion.axes > 1:
+            return None
         return {
             "descriptor": self._wire.fileno(),
             "own_session": self._session,
@@ -198,14 +217,14 @@ class UdpTransport(Transport):
         self._unread.extend(unread)
         self._sequence = sent
 
-    def write(self, command: float) -> None:
+    def write(self, command: PerAxis) -> None:
         self._send(Kind.COMMAND, self._conversion.raw_command(command))
 
     def greet(self) -> None:
         """Ask the device to listen; a missing device is counted."""
         self._greeted_ns = time.monotonic_ns()
         try:
-            self._send(Kind.HELLO, 0.0)
+            self._send(Kind.HELLO, self._nothing)
         except ConnectionRefusedError:
             self._counters["nobody listens"] += 1
 
@@ -216,12 +235,13 @@ class UdpTransport(Transport):
         self._open = False
         for _ in range(_GOODBYES if goodbye else 0):
             with suppress(OSError):  # nobody is there to say goodbye to
-                self._send(Kind.STOP, 0.0)
+                self._send(Kind.STOP, self._nothing)
         self._wire.close()
 
-    def _send(self, kind: Kind, value: float) -> None:
+    def _send(self, kind: Kind, value: PerAxis) -> None:
         self._sequence += 1
-        self._wire.send(encode(Datagram(kind, self._session, self._sequence, time.monotonic_ns(), value)))
+        now_ns = time.monotonic_ns()
+        self._wire.send(encode(Datagram(kind, self._session, self._sequence, now_ns, value, self._nothing)))
 
 
 @final
@@ -231,6 +251,7 @@ class UdpLink(DeviceLink):
     Args:
         silence_s: how long a controller has to be silent before another may take its place [s].
         through: puts faults before the socket; None for none.
+        axes: of the device.
 
     Raises:
         ConfigError: if the address cannot be had.
@@ -238,7 +259,10 @@ class UdpLink(DeviceLink):
 
     greeted = True
 
-    def __init__(self, host: str, port: int, silence_s: float, through: SocketWrapper | None = None) -> None:
+    def __init__(
+        self, host: str, port: int, silence_s: float, through: SocketWrapper | None = None, axes: int = 1
+    ) -> None:
+        self._axes = axes
         wire = _open(host, port, "the device")
         self._wire: Datagrams = wire if through is None else through(wire)
         self._session, self._admission = secrets.randbits(32), Admission(silence_s)
@@ -257,12 +281,12 @@ class UdpLink(DeviceLink):
     def receive(self) -> Incoming | None:
         for _ in range(_TRIES):
             try:
-                data, peer = self._wire.recvfrom(SIZE + 1)
+                data, peer = self._wire.recvfrom(SIZES[self._axes] + 1)
             except BlockingIOError:
                 return None
             except ConnectionError:  # the answer to a datagram that nobody took
                 continue
-            message = decode(data)
+            message = decode(data, self._axes)
             accepted = message if isinstance(message, str) else self._admitted(message, peer)
             if isinstance(accepted, Incoming):
                 return accepted
@@ -289,7 +313,7 @@ class UdpLink(DeviceLink):
         if reason := self._admission.admit(says, peer, message.session, message.sequence, time.monotonic_ns()):
             return reason
         if says == "command":
-            return Incoming(message.value) if math.isfinite(message.value) else "not-a-number"
+            return Incoming(message.value) if is_known(message.value) else "not-a-number"
         self._peer = peer if says == "greeting" else None
         return Incoming(says=says)
 
@@ -343,13 +367,13 @@ class UdpListenSettings(Settings):
         _require_local("bind_host", self.bind_host, self.allow_network)
         return self
 
-    def listen(self, silence_s: float, through: SocketWrapper | None) -> DeviceLink:
+    def listen(self, silence_s: float, through: SocketWrapper | None, axes: int = 1) -> DeviceLink:
         """Open the device's end of the wire; `through` injects faults in front of the socket.
 
         Raises:
             ConfigError: if the address cannot be had.
         """
-        return UdpLink(self.bind_host, self.bind_port, silence_s, through)
+        return UdpLink(self.bind_host, self.bind_port, silence_s, through, axes)
 
 
 def is_loopback(host: str) -> bool:

@@ -81,7 +81,9 @@ class TwoAxisPlant:
     def apply(self, u: Vec) -> Vec:
         """Apply commands (n,) for one sample and return the angles measured at its end (2,) [deg]."""
         state = self._state
-        driven = [self._drive.run(one, np.array([x])) for one, x in zip(state.drives, u.tolist(), strict=True)]
+        driven = [
+            self._drive.run(one, np.array([x])) for one, x in zip(state.drives, np.asarray(u).tolist(), strict=True)
+        ]
         w = self._model.travels(np.array([float(sent[0]) for sent, _ in driven]))
         first, second = (
             axis.advance(x, float(w[i])) for i, (axis, x) in enumerate(zip(self._axes, state.axes, strict=True))

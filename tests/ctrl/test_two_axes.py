@@ -16,14 +16,14 @@ from hystmpc.ctrl.build import build_controller, pair_for
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.ctrl.config import parse_controller
 from hystmpc.ctrl.two_axes.guarded import TwoAxisController
-from hystmpc.ctrl.two_axes.tip_controller import TwoAxisTipController
+from hystmpc.ctrl.two_axes.tip_controller import TwoAxisTipController, TwoAxisTipSettings
 from hystmpc.models.contract.metadata import NoiseModel
 from hystmpc.models.prediction.build import controller_model
 from hystmpc.models.simulator import ChainModel, Simulator
 from hystmpc.models.two_axes.model import CrossFriction, TwoAxisModel
 from hystmpc.trials.errors import ConfigError, ControllerError, ModelError
 
-from ..models.two_axis_examples import DT, RATE, REACH, SHARED, Vec, two_axes
+from ..models.two_axis_examples import COUPLED, DT, RATE, REACH, SHARED, Vec, two_axes, wandering
 
 KINDS: tuple[dict[str, Any], ...] = (
     {"kind": "linearised_mpc"},
@@ -322,3 +322,40 @@ def test_frames_of_a_late_sensor_start_and_correct(tmp_path: Path) -> None:
             tip.measure(seen[k - 4] + 0.5, (k - 4) * tip.dt)
         seen.append(device.advance(tip.step((np.nan, np.nan)).u))
     assert seen[-1] + 0.5 == pytest.approx([6.0, 4.0], abs=0.4)
+
+
+@pytest.mark.parametrize("cross", [None, SHARED, COUPLED])
+def test_after_a_replay_the_controller_knows_the_hysteresis_of_the_device(cross: CrossFriction | None) -> None:
+    """It foretells the device without an error; a controller that starts at rest there does not."""
+    model = two_axes(((1.0, 0.3), (-0.2, 1.0)), ((1.0, 0.1), (0.2, 1.0)), cross)
+    controller, sent = controller_of(model, KINDS[0]), 0.5 * wandering(3, 300)
+    angles = model.run(sent, np.zeros(2))
+    measured = np.vstack([np.zeros(2), angles[:-1]])  # each when its command was sent
+    known, fresh = controller.replay(sent, measured), controller.init(angles[-1], sent[-1])
+    off = []
+    for state in (known, fresh):
+        wanted = np.tile(angles[-1] + 2.0, (controller.horizon, 1))
+        command, _ = controller.step(state, angles[-1], wanted)
+        truth = model.run(np.vstack([sent, command.u]), np.zeros(2))[-1]
+        off.append(float(np.abs(command.predicted[0] - truth).max()))
+    assert off[0] < 1e-6
+    assert off[1] > 100 * off[0]
+
+
+def test_a_replay_ends_at_the_command_that_the_device_holds() -> None:
+    tip = TwoAxisTipController(JOINED, TwoAxisTipSettings(model="unused"))
+    sent = 0.5 * wandering(1, 100)
+    tip.replay(sent.tolist(), np.zeros((100, 2)).tolist())
+    assert tip.state().command == pytest.approx(sent[-1])
+    after = tip.step((0.0, 0.0)).u
+    assert np.all(np.abs(after - sent[-1]) <= RATE * DT * (1 + 1e-12))
+    held = tip.state().command
+    assert tip.skip().u == pytest.approx(held)
+    assert tip.snapshot().steps == 2  # type: ignore[attr-defined]
+    for commands, angles in (
+        (sent, np.zeros((99, 2))),
+        (9.0 + sent, np.zeros((100, 2))),
+        (sent, np.full((100, 2), np.nan)),
+    ):
+        with pytest.raises(ControllerError, match="replay"):
+            tip.replay(commands, angles)

@@ -181,9 +181,9 @@ def taken(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
         wrong.extend(str(said) for said in map(decode, (bytes_ for bytes_, _ in raw)) if isinstance(said, str))
         if self._flag.cause not in (cause, E_STOP):
             wrong.append(self._flag.cause)
-        if done.woke_ns - intake._accepted_ns > 1e8:
+        if done.woke_ns - intake._angles[0].accepted_ns > 1e8:
             wrong.append("silent")
-        if abs(done.u - last) > gate._limits.rate * elapsed_s + 1e-12:
+        if abs(done.u - last) > gate._limits[0].rate * elapsed_s + 1e-12:
             wrong.append("beyond the rate")
 
     monkeypatch.setattr(ControlLoop, "_book", booked)
