@@ -61,7 +61,7 @@ def export_c(
 ) -> ControllerExport:
     """Write a predictive controller as C99: hystmpc.c and hystmpc.h, without heap or further libraries.
 
-    Its commands are those of `TipController.from_config(settings)`.
+    Its commands are those of `TipController.from_config(settings)`. A model of two axes has arrays of both axes.
 
     Args:
         settings: of the controller, as a planner gives them: a `tip.yaml` or a mapping.
