@@ -10,7 +10,7 @@ from typing import Any
 from hystmpc.core.library import engine
 from hystmpc.core.structs import Struct
 from hystmpc.ctrl.command import limits_of_model, modelled_limits
-from hystmpc.ctrl.config import AnyControllerSettings
+from hystmpc.ctrl.law import LawSettings
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.ctrl.planner.settings import TipSettings, of_two_axes, read_settings
 from hystmpc.ctrl.problem import problem_of, written_in
@@ -85,7 +85,7 @@ def _located(source: object, folder: Path | None) -> object:
     return {"model": str(model_path(source["model"], folder))}
 
 
-def _check(controller: AnyControllerSettings) -> None:
+def _check(controller: LawSettings) -> None:
     if hasattr(controller, "law"):
         raise ExportError(
             f"export-c: got the law {type(controller).__name__} written in Python, expected one of hystmpc"
