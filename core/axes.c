@@ -204,7 +204,6 @@ static void axes_refuse(axes_call *c, char *memory, const real *commands, int be
     const hystmpc_axes *const a = c->a;
     for (int j = 0; j < a->commands && !before; j++)
         c->last[j] = clamp(is_finite(commands[j]) ? commands[j] : a->rest[j], a->lower[j], a->upper[j]);
-    for (int i = 0; i < HYSTMPC_AXES && !before; i++) c->axis[i].m.head->mark = 0;
     hystmpc_axes_held(a, memory, c->last);
     hystmpc_axes_stop(a, memory);
 }

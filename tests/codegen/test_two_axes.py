@@ -176,6 +176,13 @@ def test_a_refused_start_stops_a_controller_that_runs(made: Library, angles: Any
 
 
 def test_memory_that_nothing_has_started_stands_still(made: Library) -> None:
+    """Also where the model of one axis alone can rest at the angles of the start."""
+    for x, y in ((170.0, 0.0), (0.0, 170.0)):
+        ctypes.memset(made.memory, 0, made.memory_bytes)
+        assert made.init((AT_REST[0] + x, AT_REST[1] + y), START) == 3
+        assert (made.measure(AT_REST, 0.0), made.look_on(AT_REST, START)) == (0, 1)
+        commands = [made.step(AT_REST) for _ in range(3)]
+        assert [(SOURCES[one.source], list(one.u)) for one in commands] == [("stop", list(START))] * 3
     for byte in (0x00, 0x55, 0xFF):
         ctypes.memset(made.memory, byte, made.memory_bytes)
         assert made.init((math.nan, 0.0), (1.0, 7.0)) == 1
@@ -220,11 +227,14 @@ def test_a_frame_with_one_angle_changes_nothing(tmp_path: Path) -> None:
     """As in Python, which refuses it: the other angle is not used either."""
     c = Library(exported(two_axes(), {"kind": "pid", "estimator": {"sensor": "intermittent"}}, tmp_path), tmp_path)
     assert c.init((0.0, 0.0), (0.0, 0.0)) == 0
+    for _ in range(3):
+        c.step((math.nan, math.nan))
     kept = c.memory.raw
     for frame, age in (((3.0, math.nan), 0.0), ((math.nan, 3.0), 1.0), ((3.0, 2e4), 0.0), ((3.0, 3.0), -1.0)):
         assert c.measure(frame, age) == 0
     assert c.memory.raw == kept
     assert c.measure((3.0, 3.0), 0.0) == 1
+    assert c.memory.raw != kept
 
 
 @pytest.mark.slow
