@@ -5,6 +5,8 @@
 
 #include "fuzzing.h"
 
+#include <stdlib.h>
+
 #define N HYSTMPC_COMMANDS
 
 static hystmpc_controller controller;
@@ -117,7 +119,7 @@ static int call(unsigned what, const real *seen, real *last) {
 int main(int count, char **words) {
     real reference[HYSTMPC_REFERENCE * HYSTMPC_AXES], last[N], y[HYSTMPC_AXES] = {0, 0}, walked = 0;
     int started_again = 0;
-    if (count > 1) sscanf(words[1], "%llu", &state);
+    const real share = count > 1 ? (real)atof(words[1]) : R(1.0); /* of the greatest move that is allowed */
     if (!unstarted()) return 1;
     memset(&controller, 0, sizeof controller);
     copy(exported_problem.rest, last, N);
@@ -138,7 +140,7 @@ int main(int count, char **words) {
         for (int i = 0; i < HYSTMPC_AXES; i++)
             measured[i] = walking || below(12) ? seen[i] + walked + between(-1, 1) / 5 : any(-200, 200);
         const hystmpc_command next = hystmpc_step(&controller, measured, below(5) ? reference : NULL);
-        if (!admissible(next.u, last, SHARE)) return 5;
+        if (!admissible(next.u, last, share)) return 5;
         for (int i = 0; i < HYSTMPC_AXES; i++)
             if (!isfinite(next.departure_deg[i]) || !isfinite(next.predicted_deg[i]) != !exported_problem.first->model) return 6;
         if (!state_finite()) return 7;
