@@ -238,8 +238,9 @@ def export_c(call: Call) -> None:
     """
     made: ControllerExport = call.run("export")
     inexact = f" (last digits vary: {', '.join(made.inexact)})" if made.inexact else ""
+    of_two = f"two axes, {made.commands} commands, " if made.axes > 1 else ""
     line(
-        f"{call.out / 'hystmpc.c'}, {call.out / 'hystmpc.h'}: a step every {made.sample_s:g} s, "
+        f"{call.out / 'hystmpc.c'}, {call.out / 'hystmpc.h'}: {of_two}a step every {made.sample_s:g} s, "
         f"{made.reference_samples} samples of reference, {'float' if call.single else 'double'}; {made.memory_bytes} "
         f"bytes, of which {made.remembered_bytes} are remembered; calls {', '.join(made.functions)} of "
         f"<math.h>{inexact}"

@@ -5,30 +5,27 @@ from __future__ import annotations
 import re
 import subprocess
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from hystmpc.core import build
 from hystmpc.core.library import engine
 from hystmpc.core.structs import Struct, constants
-from hystmpc.ctrl.command import limits_of_model, modelled_limits
-from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
-from hystmpc.ctrl.planner.settings import TipSettings, read_settings
-from hystmpc.ctrl.problem import problem_of, written_in
-from hystmpc.models.load import load_model, model_path
-from hystmpc.models.model import Predictor
+from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.models.networks.route import NetworkRoute
-from hystmpc.models.prediction.build import controller_model
 from hystmpc.trials.errors import ExportError
 from hystmpc.trials.files import write_atomically
 
 from .amalgam import ONE_FILE, amalgam
 from .literals import EXACT, INEXACT, functions_called, literal
 from .numbers import LINE, Numbers
+from .problem import ExportedProblem, exported_problem
 from .straight import straight
 
 ENGINE = (
@@ -61,6 +58,8 @@ ENGINE = (
     "controller",
 )
 """The engine's files `core/*.c` that are laid end to end."""
+OF_TWO_AXES = ("cross_friction", "axes")
+"""Those behind them of a controller of two axes."""
 
 LANES, BLOCK = 8, 32
 """Units of a panel of a network's weights; numbers of a row of a block, which decides how much room a step takes."""
@@ -69,8 +68,9 @@ _UNUSED = """#ifdef __GNUC__
 #pragma GCC diagnostic ignored "-Wunused-function" /* a controller needs a part of its engine */
 #endif
 """
-_RENAMED = "hystmpc_memory_bytes", "hystmpc_bytes_of_memory"
-"""A function of the engine whose name the header needs, and its name within the file."""
+_RENAMED = {"hystmpc_memory_bytes": "hystmpc_bytes_of_memory"}
+_RENAMED_OF_TWO_AXES = {**_RENAMED, "hystmpc_command": "hystmpc_axis_command"}
+"""Names of the engine that the header needs, and their names within the file."""
 _LONGEST_S = 10.0
 
 
@@ -84,8 +84,10 @@ class ControllerExport:
         remembered_bytes: the first part of it, which is the controller's state.
         functions: of <math.h> that are called; those without an exact result are `inexact`.
         sample_s: time between two steps [s].
-        reference_samples: reference angles that a step uses.
-        problem: that the source states, `hystmpc_problem` of core/controller.h.
+        reference_samples: samples of the reference that a step uses.
+        problem: that the source states, `hystmpc_problem` of core/controller.h; of two axes `hystmpc_axes` of
+            core/axes.h.
+        axes, commands: numbers of angles and of commands.
     """
 
     header: str
@@ -96,6 +98,8 @@ class ControllerExport:
     sample_s: float
     reference_samples: int
     problem: Struct
+    axes: int = 1
+    commands: int = 1
 
     @property
     def inexact(self) -> tuple[str, ...]:
@@ -119,7 +123,8 @@ def export_controller(
     """Export the controller of `TipController.from_config(source)` as C99.
 
     Its commands are those of the Python controller, which steps by the same engine. Supported is all that the engine
-    has; not a model or a law written in Python, nor the solver OSQP.
+    has; not a model or a law written in Python, nor the solver OSQP. Settings with a model of two axes give functions
+    that take arrays of both axes.
 
     Args:
         source: a `tip.yaml`, a mapping or settings.
@@ -133,83 +138,72 @@ def export_controller(
     """
     if lanes not in (1, 4, 8):
         raise ExportError(f"export-c: got {lanes} lanes, expected 1, 4 or 8")
-    settings, home = read_settings(source)
-    problem, predictor, words = _problem(settings, home if folder is None else folder)
-    about = f"/* {words}\n * Written by hystmpc {version('hystmpc')}; any change is lost at the next export. */\n"
-    networks = any(isinstance(part, NetworkRoute) for part in _parts(problem))
-    inputs = predictor.input_states if problem.fields.get("model") is not None else {}
-    text = about + _source(problem, predictor.rest_part, single, lanes if networks else 1, inputs)
-    remembered, whole = _bytes(problem, predictor, text)
+    stated = exported_problem(source, folder)
+    about = (
+        f"/* {stated.words}\n * Written by hystmpc {version('hystmpc')}; any change is lost at the next export. */\n"
+    )
+    networks = any(isinstance(part, NetworkRoute) for part in _parts(stated.struct))
+    text = about + _source(stated, single, lanes if networks else 1)
+    remembered, whole = _bytes(stated, text)
     return ControllerExport(
-        about + _header(problem, single, remembered, whole, inputs),
-        f"{text}\n{_template('front.c')}",
+        about + _header(stated, single, remembered, whole),
+        f"{text}\n{_template(f'{_part(stated)}.c')}",
         whole,
         remembered,
-        tuple(name for name in (*EXACT, *INEXACT) if name in _functions(problem)),
-        problem.fields["dt_s"],
-        _samples(problem),
-        problem,
+        tuple(name for name in (*EXACT, *INEXACT) if name in _functions(stated.struct)),
+        stated.dt_s,
+        stated.samples,
+        stated.struct,
+        len(stated.axes),
+        stated.commands,
     )
 
 
-def _problem(settings: TipSettings, folder: Path) -> tuple[Struct, Predictor, str]:
-    """The problem of the settings' controller, the model's predictor, and a line on both."""
-    controller = settings.controller.resolved()
-    if hasattr(controller, "law"):
-        raise ExportError(
-            f"export-c: got the law {type(controller).__name__} written in Python, expected one of hystmpc"
-        )
-    if isinstance(controller, LinearisedMpcSettings) and controller.solver != "active_set":
-        raise ExportError(f"export-c: got controller.solver {controller.solver}, supported is active_set: an exact one")
-    model = load_model(model_path(settings.model, folder), start="conditioned")
-    inverse = None if settings.inverse is None else model_path(settings.inverse, folder)
-    known, facts = controller_model(model, inverse, settings.actuator_lag_s), model.metadata
-    predictor, inverted = known.predictive if controller.predicts else known.feedforward
-    limits = modelled_limits(settings.limits, limits_of_model(facts))
-    problem = problem_of(controller, predictor, inverted, limits)
-    if written := written_in(problem):
-        raise ExportError(
-            f"export-c: got a model of kind {facts.kind} with {written} that is computed by Python, "
-            "supported are operators, lstm and gru, and what connects them"
-        )
-    least, most, dt = problem.fields["lower"], problem.fields["upper"], problem.fields["dt_s"]
-    rate = problem.fields["reach"] / dt
-    words = f"{settings.model}: {settings.controller.kind} on {facts.kind}, every {dt:g} s"
-    return problem, predictor, f"{words}, {least:g} to {most:g} at {rate:g} per s [{facts.command_unit}]"
+def _part(stated: ExportedProblem) -> str:
+    """Name of the templates: of the header's functions, of the functions, and `_bytes` of the program that measures."""
+    return "one_axis" if len(stated.axes) == 1 else "two_axes"
 
 
-def _samples(problem: Struct) -> int:
-    return int(engine().reference_samples(problem.address))
-
-
-def _source(
-    problem: Struct, rest: Struct | None, single: bool, lanes: int, inputs: Mapping[str, tuple[int, ...]]
-) -> str:
+def _source(stated: ExportedProblem, single: bool, lanes: int) -> str:
     """Text of hystmpc.c before the functions of its header: the engine and the numbers."""
-    numbers = Numbers(single, lanes)
-    model = problem.fields.get("model")
-    at_rest = f"&{numbers.put(rest)}" if model is not None and rest is not None else "NULL"
-    numbers.put(problem, "exported_problem")
-    old, new = _RENAMED
+    numbers, two = Numbers(single, lanes), len(stated.axes) > 1
+    rests = [f"&{numbers.put(rest)}" if rest is not None else "NULL" for rest in stated.rests]
+    numbers.put(stated.struct, "exported_problem")
+    renamed = _RENAMED_OF_TWO_AXES if two else _RENAMED
     macros = {
         "HYSTMPC_SINGLE": int(single),
         "HYSTMPC_LANES": lanes,
         "HYSTMPC_BLOCK": BLOCK,
         "HYSTMPC_STRAIGHT": 1,
-        old: new,
+        **renamed,
     }
     return "\n".join(
         [
             *(f"#define {name} {value}" for name, value in macros.items()),
             ONE_FILE + _UNUSED,
-            amalgam(f"{name}.c" for name in ENGINE),
-            f"#undef {old}\n\n/* Numbers of this controller. */\n",
+            amalgam(f"{name}.c" for name in (*ENGINE, *(OF_TWO_AXES if two else ()))),
+            "\n".join(f"#undef {name}" for name in renamed) + "\n\n/* Numbers of this controller. */\n",
             LINE,
             numbers.text,
             straight(numbers.chains),
-            f"static const hystmpc_rest_rule *const exported_rest = {at_rest};",
-            f"static const int exported_inputs[][2] = {_input_entries(inputs)}; /* input, entry of the state */\n",
+            *(_facts_of_two_axes(stated, rests) if two else _facts(stated, rests[0])),
         ]
+    )
+
+
+def _facts(stated: ExportedProblem, rest: str) -> tuple[str, ...]:
+    entries = _input_entries(stated.inputs)
+    return (
+        f"static const hystmpc_rest_rule *const exported_rest = {rest};",
+        f"static const int exported_inputs[][2] = {entries}; /* input, entry of the state */\n",
+    )
+
+
+def _facts_of_two_axes(stated: ExportedProblem, rests: Sequence[str]) -> tuple[str, ...]:
+    states = ", ".join(map(str, [*stated.states(), 0, 0][: len(rests)]))
+    return (
+        f"static const hystmpc_rest_rule *const exported_rest[HYSTMPC_AXES] = {{{', '.join(rests)}}};",
+        f"static const int exported_states[HYSTMPC_AXES] = {{{states}}};\n",
     )
 
 
@@ -222,26 +216,36 @@ def _template(name: str) -> str:
     return resources.files("hystmpc.codegen").joinpath("c", name).read_text(encoding="utf-8")
 
 
-def _header(problem: Struct, single: bool, remembered: int, whole: int, inputs: Mapping[str, tuple[int, ...]]) -> str:
-    fields, folder = problem.fields, resources.files("hystmpc.core")
+def _header(stated: ExportedProblem, single: bool, remembered: int, whole: int) -> str:
+    folder, two = resources.files("hystmpc.core"), len(stated.axes) > 1
     headers = [folder.joinpath(f"{name}.h").read_text(encoding="utf-8") for name in ("controller", "observer")]
     wanted = ("HYSTMPC_MPC", "HYSTMPC_OK"), ("HYSTMPC_STARTED",)
     said = [_enumeration(text, first) for text, names in zip(headers, wanted, strict=True) for first in names]
-    command = _about("typedef struct", "} hystmpc_command;", headers[0]).replace("    real ", "    hystmpc_real ")
-    sizes = {
-        "SAMPLE_S": literal(fields["dt_s"], False),
-        "LOWEST": literal(fields["lower"], False),
-        "HIGHEST": literal(fields["upper"], False),
-        "REFERENCE": _samples(problem),
-        "REMEMBERED": remembered,
-        "BYTES": whole,
-    }
-    sizes |= {f"INPUT_{re.sub(r'[^A-Z0-9]', '_', name.upper())}": k for k, name in enumerate(inputs)}
-    lines = [f"#define HYSTMPC_{name} {value}" for name, value in sizes.items()]
-    lines += ["#ifndef HYSTMPC_SINGLE", f"#define HYSTMPC_SINGLE {int(single)}", "#endif", ""]
-    text = _template("hystmpc.h").replace("@SIZES@\n", "\n".join(lines))
+    if not two:
+        command = _about("typedef struct", "} hystmpc_command;", headers[0])
+        said.append(command.replace("    real ", "    hystmpc_real "))
+    use, functions = _template(f"{_part(stated)}.h").split("\n\n", 1)
+    text = _template("hystmpc.h").replace("@USE@", use).replace("@FUNCTIONS@\n", functions)
+    text = text.replace("@SIZES@\n", "\n".join([*_sizes(stated, single, remembered, whole), *_precision(single)]))
     text = text.replace("@REAL@", "float" if single else "double")
-    return text.replace("@ENGINE@", "\n\n".join([*said, command]))
+    return text.replace("@ENGINE@", "\n\n".join(said))
+
+
+def _sizes(stated: ExportedProblem, single: bool, remembered: int, whole: int) -> list[str]:
+    """Macros of the header: numbers of this controller."""
+    fields, two = stated.struct.fields, len(stated.axes) > 1
+    sizes: dict[str, Any] = {"SAMPLE_S": literal(stated.dt_s, False)}
+    sizes |= {"AXES": len(stated.axes), "COMMANDS": stated.commands} if two else {}
+    for name, ends in (("LOWEST", fields["lower"]), ("HIGHEST", fields["upper"])):
+        listed = ", ".join(literal(float(end), two and single) for end in np.atleast_1d(ends))
+        sizes[name] = f"{{{listed}}}" if two else listed
+    sizes |= {"REFERENCE": stated.samples, "REMEMBERED": remembered, "BYTES": whole}
+    sizes |= {f"INPUT_{re.sub(r'[^A-Z0-9]', '_', name.upper())}": k for k, name in enumerate(stated.inputs)}
+    return [f"#define HYSTMPC_{name} {value}" for name, value in sizes.items()]
+
+
+def _precision(single: bool) -> list[str]:
+    return ["#ifndef HYSTMPC_SINGLE", f"#define HYSTMPC_SINGLE {int(single)}", "#endif", ""]
 
 
 def _enumeration(text: str, first: str) -> str:
@@ -258,22 +262,31 @@ def _about(begin: str, end: str, text: str) -> str:
     return text[text.rindex("/*", 0, start) : stop]
 
 
-def _bytes(problem: Struct, predictor: Predictor, source: str) -> tuple[int, int]:
+def _bytes(stated: ExportedProblem, source: str) -> tuple[int, int]:
     """Bytes that are remembered, and of the whole struct: as a compiler says, else as many as are enough."""
-    if known := _measured(source):
+    if known := _measured(source, f"{_part(stated)}_bytes.c"):
         remembered, room = known
     else:
-        core, address = engine("plain"), problem.address
-        remembered, room, model = core.memory_bytes(address), core.room_bytes(address), problem.fields.get("model")
-        if model is not None and predictor.rest_part is not None:
-            part = model.fields["predictor"]
-            at_rest = core.at_rest_bytes(predictor.rest_part.address, part.address)
-            room = max(room, at_rest) + 8 * part.fields["states"] + 2 * 64
+        remembered, room = _enough(stated)
     remembered = -(-remembered // 8) * 8
     return remembered, remembered + -(-room // 8) * 8
 
 
-def _measured(source: str) -> tuple[int, int] | None:
+def _enough(stated: ExportedProblem) -> tuple[int, int]:
+    """Bytes of memory, and of room that is enough in either precision."""
+    core, address, two = engine("plain"), stated.struct.address, len(stated.axes) > 1
+    remembered = core.axes_bytes(address) if two else core.memory_bytes(address)
+    room, numbers = core.axes_room_bytes(address) if two else core.room_bytes(address), sum(stated.states())
+    for axis, rest in zip(stated.axes, stated.rests, strict=True):
+        if rest is not None:
+            room = max(room, core.at_rest_bytes(rest.address, axis.fields["model"].fields["predictor"].address))
+    if two:
+        horizon = stated.axes[0].fields["law"].fields["horizon"]
+        numbers += 2 * stated.samples + (2 + stated.commands) * horizon
+    return remembered, room + (8 * numbers + 4 * 64 if numbers else 0)
+
+
+def _measured(source: str, program: str) -> tuple[int, int] | None:
     """Bytes of memory and of room in this precision; None without a compiler.
 
     Without the functions of the header a compiler that optimises leaves out what only they would call.
@@ -285,7 +298,7 @@ def _measured(source: str) -> tuple[int, int] | None:
     if command is None:
         return None
     with tempfile.TemporaryDirectory(prefix="hystmpc-c-") as folder:
-        (Path(folder) / "measure.c").write_text(f"{source}\n{_template('measure.c')}", encoding="utf-8")
+        (Path(folder) / "measure.c").write_text(f"{source}\n{_template(program)}", encoding="utf-8")
         try:
             build.run(command, ["-std=c99", "-O1", "-o", "measure", "measure.c", "-lm"], Path(folder))
             done = subprocess.run([Path(folder) / "measure"], capture_output=True, timeout=_LONGEST_S, check=True)

@@ -52,6 +52,11 @@ typedef struct {
 
 static const hystmpc_problem *axes_problem(const hystmpc_axes *a, int i) { return i ? a->second : a->first; }
 
+/* Whether both have accepted a start. */
+static int axes_started(const axes_call *c) {
+    return c->axis[0].m.head->mark == HYSTMPC_MARK && c->axis[1].m.head->mark == HYSTMPC_MARK;
+}
+
 static int axes_cross_states(const hystmpc_axes *a) { return a->cross ? hystmpc_cross_states(a->cross) : 0; }
 
 static long axes_head_bytes(const hystmpc_axes *a) {
@@ -78,6 +83,12 @@ static void axes_open(const hystmpc_axes *a, char *memory, axes_call *c) {
         memory += hystmpc_memory_bytes(c->axis[i].p);
     }
     c->horizon = a->first->law->horizon;
+}
+
+/* Angles of a proposal: of the plan, or those of commands on their way. */
+static int axes_foretold(const hystmpc_axes *a) {
+    const int delay = a->first->sensing->delay, h = a->first->law->horizon;
+    return h > delay ? h : delay + 1;
 }
 
 /* Numbers for a joint program: slopes of each axis and of all, plans, angles, and those of `hystmpc_step_plan`. */
@@ -123,12 +134,19 @@ static real axes_limit(const hystmpc_axes *a, const real *before, int before_apa
     return off;
 }
 
+/* Angles y (2) by measured angles theta (2): not-a-number where one is too large to be an angle. */
+static void axes_seen(const hystmpc_axes *a, const real *angles_deg, real *y) {
+    real seen[HYSTMPC_AXES];
+    for (int i = 0; i < HYSTMPC_AXES; i++) seen[i] = hystmpc_usable_angle(angles_deg[i]);
+    axes_map(a->unframe, HYSTMPC_AXES, HYSTMPC_AXES, seen, 1, y, 1);
+}
+
 /* The nearest one of the remembered samples. */
 static int axes_ago(int age) { return age < 0 ? 0 : age < HYSTMPC_PAST ? age : HYSTMPC_PAST - 1; }
 
 /* Angles y (2) of the axes by measured ones, `age` samples ago, without the shared friction then. */
 static void axes_measured(const axes_call *c, const real *angles_deg, int age, real *y) {
-    axes_map(c->a->unframe, HYSTMPC_AXES, HYSTMPC_AXES, angles_deg, 1, y, 1);
+    axes_seen(c->a, angles_deg, y);
     if (!c->a->cross) return;
     for (int i = 0; i < HYSTMPC_AXES; i++) y[i] -= c->past[HYSTMPC_AXES * axes_ago(age) + i];
 }
@@ -172,6 +190,45 @@ void hystmpc_axes_begin(const void *axes, char *memory, const real *commands) {
     if (!a->cross) return;
     fill(c.past, R(0.0), HYSTMPC_AXES * HYSTMPC_PAST);
     hystmpc_cross_rest(a->cross, w, c.cross);
+}
+
+void hystmpc_axes_at(const void *axes, const real *angles_deg, const real *commands, real *y, real *w) {
+    const hystmpc_axes *const a = axes;
+    axes_seen(a, angles_deg, y);
+    axes_travels(a, commands, 1, w, 1);
+    for (int i = 0; i < HYSTMPC_AXES; i++) w[i] = clamp(w[i], axes_problem(a, i)->lower, axes_problem(a, i)->upper);
+}
+
+/* After a start that was refused: stopped at the commands sent last, or not started at those of the start. */
+static void axes_refuse(axes_call *c, char *memory, const real *commands, int before) {
+    const hystmpc_axes *const a = c->a;
+    for (int j = 0; j < a->commands && !before; j++)
+        c->last[j] = clamp(is_finite(commands[j]) ? commands[j] : a->rest[j], a->lower[j], a->upper[j]);
+    hystmpc_axes_held(a, memory, c->last);
+    hystmpc_axes_stop(a, memory);
+}
+
+int hystmpc_axes_init(const void *axes, char *memory, const real *x, const real *angles_deg, const real *commands,
+                      char *room) {
+    const hystmpc_axes *const a = axes;
+    axes_call c;
+    real y[HYSTMPC_AXES], w[HYSTMPC_AXES];
+    int answer = HYSTMPC_STARTED;
+    axes_open(a, memory, &c);
+    const int before = axes_started(&c);
+    hystmpc_axes_at(a, angles_deg, commands, y, w);
+    for (int j = 0; j < a->commands; j++)
+        if (!(a->lower[j] <= commands[j] && commands[j] <= a->upper[j])) answer = HYSTMPC_BAD_COMMAND;
+    for (int i = 0; i < HYSTMPC_AXES; i++)
+        if (!is_finite(hystmpc_usable_angle(y[i]))) answer = HYSTMPC_BAD_ANGLE;
+    for (int i = 0; i < HYSTMPC_AXES && answer == HYSTMPC_STARTED; i++) {
+        const hystmpc_problem *const p = c.axis[i].p;
+        answer = hystmpc_controller_init(p, c.axis[i].memory, x, y[i], w[i], room);
+        if (p->model) x += p->model->predictor->states;
+    }
+    if (answer == HYSTMPC_STARTED) hystmpc_axes_begin(a, memory, commands);
+    else axes_refuse(&c, memory, commands, before);
+    return answer;
 }
 
 /* Commands (n) for travels w (2) behind others: those, where they pull so already. */
@@ -268,7 +325,7 @@ long hystmpc_axes_room_bytes(const void *axes) {
     long inner = longer(hystmpc_room_bytes(a->first), hystmpc_room_bytes(a->second));
     for (int i = 0; i < HYSTMPC_AXES; i++)
         if (axes_problem(a, i)->model) inner = longer(inner, hystmpc_model_bytes(axes_problem(a, i)->model, 1, (int)h));
-    return 2L * ROOM_LINE + 4 * room_for(2 * samples) + room_for(a->commands * h) + room_for(4 * h) +
+    return 2L * ROOM_LINE + 4 * room_for(2 * samples) + room_for(a->commands * h) + room_for(2 * (h + axes_foretold(a))) +
            (a->law ? axes_joint_room(a) : 0L) + inner;
 }
 
@@ -422,15 +479,17 @@ int hystmpc_axes_step(const void *axes, char *memory, const real *angles_deg, co
     room = room_begin(room);
     real *const in_y = room_take(&room, 2L * samples), *const plans = room_take(&room, (long)n * h);
     real *const shared = room_take(&room, 2L * samples), *const ahead = room_take(&room, 2L * samples);
-    real *const alone = room_take(&room, 2L * samples), *const proposed = room_take(&room, 4L * h);
+    const int foretold = axes_foretold(a);
+    real *const alone = room_take(&room, 2L * samples), *const proposed = room_take(&room, 2L * (h + foretold));
     for (int i = 0; i < HYSTMPC_AXES; i++) {
         c.axis[i].out.commands = proposed + i * h;
-        c.axis[i].out.angles = proposed + (HYSTMPC_AXES + i) * h;
-        fill(c.axis[i].out.angles, (real)NAN, h);
+        c.axis[i].out.angles = proposed + HYSTMPC_AXES * h + i * foretold;
+        fill(c.axis[i].out.angles, (real)NAN, foretold);
     }
     memset(answer, 0, HYSTMPC_AXES * sizeof *answer);
-    for (int k = 0; k < samples; k++)
+    for (int k = 0; k < samples && reference; k++)
         axes_map(a->unframe, HYSTMPC_AXES, HYSTMPC_AXES, reference + k, samples, in_y + k, samples);
+    for (int i = 0; i < HYSTMPC_AXES && !reference; i++) fill(in_y + i * samples, c.axis[i].m.head->target, samples);
     axes_foresee(&c, samples, ahead, shared);
     for (int k = 0; k < 2 * samples; k++) alone[k] = in_y[k] - shared[k];
     if (!axes_propose(&c, angles_deg, alone, room)) {
@@ -470,12 +529,41 @@ int hystmpc_axes_step(const void *axes, char *memory, const real *angles_deg, co
 int hystmpc_axes_measure(const void *axes, char *memory, const real *angles_deg, real age) {
     axes_call c;
     real y[HYSTMPC_AXES];
-    int used = 1;
     axes_open(axes, memory, &c);
-    axes_measured(&c, angles_deg, 
-                  c.a->first->sensing->delay + (is_finite(age) && age < (real)HYSTMPC_PAST ? (int)(age + R(0.5)) : 0), y);
-    for (int i = 0; i < HYSTMPC_AXES; i++) used &= hystmpc_controller_measure(c.axis[i].p, c.axis[i].memory, y[i], age);
+    const int late = is_finite(age) ? (int)clamp(age + R(0.5), R(0.0), (real)HYSTMPC_PAST) : 0;
+    axes_measured(&c, angles_deg, c.a->first->sensing->delay + late, y);
+    int used = axes_started(&c);
+    for (int i = 0; i < HYSTMPC_AXES; i++) used &= is_finite(hystmpc_usable_angle(y[i])); /* of both, or of none */
+    for (int i = 0; i < HYSTMPC_AXES && used; i++)
+        used = hystmpc_controller_measure(c.axis[i].p, c.axis[i].memory, y[i], age);
     return used;
+}
+
+int hystmpc_axes_look_on(const void *axes, char *memory, const real *angles_deg, const real *commands, char *room) {
+    const hystmpc_axes *const a = axes;
+    axes_call c;
+    real y[HYSTMPC_AXES], w[HYSTMPC_AXES];
+    int failed = 0;
+    axes_open(a, memory, &c);
+    if (!axes_started(&c)) return 1;
+    axes_measured(&c, angles_deg, a->first->sensing->delay, y);
+    for (int j = 0; j < a->commands; j++)
+        c.last[j] = clamp(is_finite(commands[j]) ? commands[j] : c.last[j], a->lower[j], a->upper[j]);
+    axes_travels(a, c.last, 1, w, 1);
+    axes_rub(&c, w);
+    for (int i = 0; i < HYSTMPC_AXES; i++) {
+        const int samples = hystmpc_controller_look_on(c.axis[i].p, c.axis[i].memory, y[i], w[i], room);
+        failed = failed < samples ? samples : failed;
+    }
+    return failed;
+}
+
+void hystmpc_axes_target(const void *axes, char *memory, const real *angles_deg) {
+    axes_call c;
+    real y[HYSTMPC_AXES];
+    axes_open(axes, memory, &c);
+    axes_map(c.a->unframe, HYSTMPC_AXES, HYSTMPC_AXES, angles_deg, 1, y, 1);
+    for (int i = 0; i < HYSTMPC_AXES; i++) hystmpc_controller_target(c.axis[i].p, c.axis[i].memory, y[i]);
 }
 
 void hystmpc_axes_held(const void *axes, char *memory, const real *commands) {

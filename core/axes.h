@@ -47,16 +47,29 @@ typedef struct {
 HYSTMPC_API long hystmpc_axes_bytes(const void *axes);
 HYSTMPC_API long hystmpc_axes_room_bytes(const void *axes);
 
+/* Angles y (2) by measured angles (2), not-a-number where one cannot be used; travels w (2) by commands (n), each within
+ * the limits of its axis. */
+HYSTMPC_API void hystmpc_axes_at(const void *axes, const real *angles_deg, const real *commands, real *y, real *w);
+
 /* What both axes share, at rest under commands (n): call it when each has its start in the memory. */
 HYSTMPC_API void hystmpc_axes_begin(const void *axes, char *memory, const real *commands);
 
-/* One step. angles_deg (2), not-a-number where one is missing; reference (2, S); u (n): the commands to send;
- * answers: two structs `hystmpc_command`, of which u is the axis's travel w and angles are y. plan (n + 2, H): commands, and
+/* At rest at measured angles (2) [deg] under the commands (n) that the device holds; x: the states of both predictors at rest
+ * there, one behind the other. 0, or why there is no start (observer.h): a start that is refused latches the stop. */
+HYSTMPC_API int hystmpc_axes_init(const void *axes, char *memory, const real *x, const real *angles_deg,
+                                  const real *commands, char *room);
+
+/* One step. angles_deg (2), not-a-number where one is missing; reference (2, S), null for the target in all samples; u (n):
+ * the commands to send; answers: two structs `hystmpc_command`, of which u is the axis's travel w and angles are y. plan (n + 2, H): commands, and
  * angles theta, disturbance included; null for none. Answers how many of the axes say something unusual. */
 HYSTMPC_API int hystmpc_axes_step(const void *axes, char *memory, const real *angles_deg, const real *reference,
                                   real *u, void *answers, real *plan, char *room);
 
-/* As the functions of controller.h, for both axes: angles (2), commands (n). */
+/* As the functions of controller.h, for both axes: angles (2), commands (n). A frame in which one angle cannot be used
+ * changes nothing. */
+HYSTMPC_API void hystmpc_axes_target(const void *axes, char *memory, const real *angles_deg);
+HYSTMPC_API int hystmpc_axes_look_on(const void *axes, char *memory, const real *angles_deg, const real *commands,
+                                     char *room);
 HYSTMPC_API int hystmpc_axes_measure(const void *axes, char *memory, const real *angles_deg, real age);
 HYSTMPC_API void hystmpc_axes_held(const void *axes, char *memory, const real *commands);
 HYSTMPC_API void hystmpc_axes_hurry(const void *axes, char *memory);

@@ -103,7 +103,7 @@ static void cross_samples(const hystmpc_cross_friction *f, int samples, const re
                           const cross_slopes *d, real *slopes) {
     real *const waiting = state + 2 + 4 * f->plays;
     for (int t = 0; t < samples; t++) {
-        real input[2], sum[2], *rows[4];
+        real input[2], sum[2], *rows[4] = {NULL, NULL, NULL, NULL};
         const int count = t - f->delay + 1; /* samples that act by now */
         for (int i = 0; i < 2; i++) input[i] = count > 0 ? w[i * samples + t - f->delay] : waiting[2 * t + i];
         for (int k = 0; d && k < 4; k++) rows[k] = slopes + (k * samples + t) * samples;

@@ -61,7 +61,7 @@ def export_c(
 ) -> ControllerExport:
     """Write a predictive controller as C99: hystmpc.c and hystmpc.h, without heap or further libraries.
 
-    Its commands are those of `TipController.from_config(settings)`.
+    Its commands are those of `TipController.from_config(settings)`. A model of two axes has arrays of both axes.
 
     Args:
         settings: of the controller, as a planner gives them: a `tip.yaml` or a mapping.
@@ -141,12 +141,16 @@ def _plant(source: Simulator | SimulatedPlant | Path | str) -> SimulatedPlant:
 
 def _plant_settings(source: Path) -> PlantSettings:
     from hystmpc.models.load import BUILTIN
+    from hystmpc.models.two_axes.model import has_two_axes
     from hystmpc.sim.config import PlantSettings, load_simulation
+    from hystmpc.sim.two_axes.config import file_of_two_axes
 
     if str(source).startswith(BUILTIN):
         return PlantSettings(simulator=str(source))
     if source.suffix.lower() not in (".yaml", ".yml"):
         raise ExportError(f"export-fmu: got {source}, supported are simulators and studies (.yaml) and builtin:NAME")
+    if has_two_axes(source) or file_of_two_axes(source):
+        raise ExportError(f"export-fmu: got two axes in {source}, supported is one axis: a simulator or its study")
     data = read_yaml(source)
     if isinstance(data, Mapping) and "plant" in data:
         return load_simulation(source).plant

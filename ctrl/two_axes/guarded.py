@@ -30,6 +30,7 @@ from ..config import AnyControllerSettings
 from ..estimation.observer import Bytes, usable_angle
 from ..guarded import GuardedController, GuardedState
 from ..law_tables import law_over
+from ..learning.predictor import LearnedPredictor
 from ..mpc_settings import LinearisedMpcSettings, PredictiveSettings
 from ..planner.reach import angles_at_rest
 from ..problem import CHANGES
@@ -104,6 +105,12 @@ class TwoAxisController(HoldsAddresses):
         model: of the device; its limits are those of the commands.
         settings: of any controller; both axes have the same.
 
+    Attributes:
+        problem: struct `hystmpc_axes` of core/axes.h.
+        rests: how the predictors of x and y come to rest, structs `hystmpc_rest_rule`; None without one.
+        model, limits: of the device, and of every command.
+        horizon: H, reference samples that a step uses.
+
     Raises:
         ControllerError: if the settings contradict each other or the model.
     """
@@ -126,6 +133,8 @@ class TwoAxisController(HoldsAddresses):
             each = [_tolerant(settings, axis) for axis in model.axes]
         x, y = (build_controller(*one) for one in zip(each, *zip(*pairs, strict=True), travels, strict=True))
         self._axes = x, y
+        modelled = (pair[0].model if isinstance(pair[0], LearnedPredictor) else pair[0] for pair in pairs)
+        self.rests = tuple(predictor.rest_part for predictor in modelled)
         self._ends = [
             angles_at_rest(pair[0], ends, axis.trained_angle_deg.lower)
             for pair, ends, axis in zip(pairs, travels, model.axes, strict=True)
@@ -160,8 +169,9 @@ class TwoAxisController(HoldsAddresses):
                 f"controller: got a start at {shown(angles_deg, 60)} deg with commands {shown(commands, 60)}, expected "
                 f"two finite angles and {len(self.limits)} commands within the limits"
             )
-        y, w = self.model.in_axes(angles), self.model.travels(held)
-        begun = [axis.init(float(y[i]), _within(axis, float(w[i]))) for i, axis in enumerate(self._axes)]
+        y, w = np.empty(AXES), np.empty(AXES)
+        self._engine.axes_at(self._address, angles, np.ascontiguousarray(held), y, w)
+        begun = [axis.init(float(y[i]), float(w[i])) for i, axis in enumerate(self._axes)]
         memory = np.zeros(self._bytes, dtype=np.uint8)
         for part, state in zip(self._parts, begun, strict=True):
             memory[part] = state.memory
@@ -324,10 +334,6 @@ def usable_angles(angles_deg: object) -> Vec:
     if angles.shape != (AXES,):
         return np.full(AXES, np.nan)
     return np.array([usable_angle(float(angle)) for angle in angles])
-
-
-def _within(axis: GuardedController, travel: float) -> float:
-    return min(max(travel, axis.limits.lower), axis.limits.upper)
 
 
 def _dearer(settings: Predictive, gains: Sequence[float], dt_s: float) -> Predictive:

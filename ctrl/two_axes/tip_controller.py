@@ -70,6 +70,17 @@ class TwoAxisTipSettings(Settings):
     tolerance_deg: Positive = 0.5
 
 
+def read_two_axis_settings(source: Path | str | Mapping[str, Any]) -> tuple[TwoAxisTipSettings, Path]:
+    """Read the settings, and return the folder of their relative file names: the file's, else the present one.
+
+    Raises:
+        ConfigError: on an unreadable file, an unknown key or a value out of bounds.
+    """
+    if isinstance(source, Mapping):
+        return TwoAxisTipSettings.parse(dict(source)), Path()
+    return TwoAxisTipSettings.parse(read_yaml(source), str(source)), Path(source).resolve().parent
+
+
 @dataclass(frozen=True, eq=False)
 class PlaneReach:
     """Reachability of two angles; its truth value is `reachable`.
@@ -184,10 +195,7 @@ class TwoAxisTipController:
             ModelError: if the model file is missing or unusable.
             ControllerError: if the settings contradict each other or the model.
         """
-        if isinstance(source, Mapping):
-            settings, folder = TwoAxisTipSettings.parse(dict(source)), Path()
-        else:
-            settings, folder = TwoAxisTipSettings.parse(read_yaml(source), str(source)), Path(source).resolve().parent
+        settings, folder = read_two_axis_settings(source)
         return cls(load_two_axes(model_path(settings.model, folder)), settings)
 
     def __repr__(self) -> str:

@@ -50,21 +50,21 @@ class Recorder(Library):
         super().__init__(export, folder, single, options)
         self._calls: list[list[float]] = []
 
-    def init(self, angle: float, command: float) -> int:
-        self._calls.append([_INIT, angle, command])
+    def init(self, angle: Any, command: Any) -> int:
+        self._calls.append([_INIT, *np.atleast_1d(angle), *np.atleast_1d(command)])
         return super().init(angle, command)
 
     def stop(self) -> None:
         self._calls.append([_STOP])
         super().stop()
 
-    def step(self, angle: float, reference: Any = None) -> Any:
+    def step(self, angle: Any, reference: Any = None) -> Any:
         answer = super().step(angle, reference)
-        self._calls.append([_STEP, angle, answer.u, *reference])
+        self._calls.append([_STEP, *np.atleast_1d(angle), *np.atleast_1d(answer.u), *reference])
         return answer
 
     def calls(self) -> Mat:
-        """Recorded calls, one a row: kind, measurement, command, reference; zeros for missing values."""
+        """Recorded calls, one a row: kind, measurements, commands, reference; zeros for missing values."""
         width = max(len(call) for call in self._calls)
         return np.array([call + [0.0] * (width - len(call)) for call in self._calls])
 

@@ -2,7 +2,7 @@
  *
  *     replay ROWS REPETITIONS < records > nanoseconds
  *
- * A record is a row of doubles: what is called, a measurement, a command, the reference. The times of all steps are
+ * A record is a row of doubles: what is called, measured angles, commands, the reference. The times of all steps are
  * written as doubles, one repetition after the other. The program fails where a command differs from the recorded one. */
 #define _POSIX_C_SOURCE 199309L
 
@@ -12,7 +12,17 @@
 #include <stdlib.h>
 #include <time.h>
 
-enum { STEP = 0, INIT = 1, STOP = 2, WIDTH = 3 + HYSTMPC_REFERENCE };
+#ifdef HYSTMPC_AXES
+enum { ANGLES = HYSTMPC_AXES, COMMANDS = HYSTMPC_COMMANDS };
+#define GIVEN(numbers) (numbers)
+#define SENT(next) (next).u
+#else
+enum { ANGLES = 1, COMMANDS = 1 };
+#define GIVEN(numbers) (numbers)[0]
+#define SENT(next) &(next).u
+#endif
+
+enum { STEP = 0, INIT = 1, STOP = 2, PREVIEW = ANGLES * HYSTMPC_REFERENCE, WIDTH = 1 + ANGLES + COMMANDS + PREVIEW };
 
 static hystmpc_controller controller;
 
@@ -22,14 +32,30 @@ static double now_ns(void) {
     return 1e9 * (double)at.tv_sec + (double)at.tv_nsec;
 }
 
-/* One step of a record [ns]; below zero where its command is another one. */
+static void read(const double *from, hystmpc_real *to, int count) {
+    for (int k = 0; k < count; k++) to[k] = (hystmpc_real)from[k];
+}
+
+/* One step of a record [ns]; below zero where a command is another one. */
 static double timed(const double *record) {
-    hystmpc_real reference[HYSTMPC_REFERENCE];
-    for (int k = 0; k < HYSTMPC_REFERENCE; k++) reference[k] = (hystmpc_real)record[3 + k];
+    hystmpc_real angles[ANGLES], reference[PREVIEW];
+    read(record + 1, angles, ANGLES);
+    read(record + 1 + ANGLES + COMMANDS, reference, PREVIEW);
     const double before = now_ns();
-    const hystmpc_command next = hystmpc_step(&controller, (hystmpc_real)record[1], reference);
+    const hystmpc_command next = hystmpc_step(&controller, GIVEN(angles), reference);
     const double took = now_ns() - before;
-    return (double)next.u == record[2] ? took : -1.0;
+    const hystmpc_real *const sent = SENT(next);
+    for (int j = 0; j < COMMANDS; j++)
+        if ((double)sent[j] != record[1 + ANGLES + j]) return -1.0;
+    return took;
+}
+
+/* 0, or why the controller cannot start at a record. */
+static int started(const double *record) {
+    hystmpc_real angles[ANGLES], commands[COMMANDS];
+    read(record + 1, angles, ANGLES);
+    read(record + 1 + ANGLES, commands, COMMANDS);
+    return hystmpc_init(&controller, GIVEN(angles), GIVEN(commands));
 }
 
 int main(int count, char **words) {
@@ -42,7 +68,7 @@ int main(int count, char **words) {
         for (size_t row = 0; row < rows; row++) {
             const double *record = records + row * WIDTH;
             if (record[0] == INIT) {
-                if (hystmpc_init(&controller, (hystmpc_real)record[1], (hystmpc_real)record[2])) return 3;
+                if (started(record)) return 3;
             } else if (record[0] == STOP) {
                 hystmpc_stop(&controller);
             } else if ((times[steps++] = timed(record)) < 0.0) {

@@ -33,7 +33,31 @@ class Sensing:
     sensors: Sequence[Sensor] = ()
 
 
-class ComputedPlant(ABC):
+class RepeatablePlant(ABC):
+    """Base class of plants whose random numbers can be repeated; their state is replaced and never altered."""
+
+    seed: int
+    _random: np.random.Generator
+
+    @abstractmethod
+    def reset(self) -> Any:
+        """Bring the device to rest, with the random numbers of its seed, and return what is measured."""
+
+    def reseeded(self, seed: int) -> Self:
+        """Return the same device with another realisation of all random numbers."""
+        other = copy(self)
+        other.seed = seed
+        other.reset()
+        return other
+
+    def copied(self) -> Self:
+        """Return a plant that continues from the present state with the same future noise; the two are independent."""
+        other = copy(self)
+        other._random = deepcopy(self._random)
+        return other
+
+
+class ComputedPlant(RepeatablePlant):
     """Base class of computed plants (`ctrl.loop.Plant`); the state is hidden, as in a real device.
 
     A reset always returns to the same rest and restarts the random numbers. A subclass defines the rest and the change
@@ -73,20 +97,7 @@ class ComputedPlant(ABC):
         self._angle, self._state = self._advanced(self._state, u, self._random)
         return self._measured()
 
-    def reseeded(self, seed: int) -> Self:
-        """Return the same device with another realisation of all random numbers."""
-        other = copy(self)
-        other.seed = seed
-        other.reset()
-        return other
-
-    def copied(self) -> Self:
-        """Return a plant that continues from the present state with the same future noise; the two are independent."""
-        other = copy(self)
-        other._random = deepcopy(self._random)
-        return other
-
-    def stop(self) -> None:  # noqa: B027  # hardware has something to do here
+    def stop(self) -> None:  # hardware has something to do here
         """Do nothing: a computed device is always safe."""
 
     @abstractmethod

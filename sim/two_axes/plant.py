@@ -15,7 +15,7 @@ from hystmpc.models.two_axes.model import AXES, TwoAxisModel
 from hystmpc.trials.errors import ConfigError, ModelError
 from hystmpc.trials.types import Vec
 
-from ..plants.computed import OperatorCascade
+from ..plants.computed import OperatorCascade, RepeatablePlant
 from ..plants.simulated import Effects, conditioned, fresh, plant_simulator
 from .config import AxisChangesSettings, TwoAxisPlantSettings
 
@@ -28,7 +28,7 @@ class _PlantState:
 
 
 @final
-class TwoAxisPlant:
+class TwoAxisPlant(RepeatablePlant):
     """Plant of a model of two axes, see `TwoAxisModel`; commands (n,) in, angles (2,) [deg] out.
 
     Lag and delay act on every command, changes on the simulators of the axes, noise and resolution on the angles.

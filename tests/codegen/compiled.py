@@ -57,7 +57,8 @@ def run_sanitized(
     both = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
     traps = ["-fsanitize=undefined", "-fsanitize-undefined-trap-on-error"]
     # With -Og a run takes a third of the time of -O0, and its compilation little more than with -O0.
-    build = [*STRICT, f"-DSTEPS={steps}", *more, "-Og", "-g1", "-o", "run", *files, "-lm"]
+    here = f"-I{Path(__file__).parent}"
+    build = [*STRICT, f"-DSTEPS={steps}", *more, here, "-Og", "-g1", "-o", "run", *files, "-lm"]
     if not compilers() or tried([*compilers()[0], *both, *build], folder):
         compile_c([*traps, *build], folder)
     done = subprocess.run([folder / "run"], capture_output=True, text=True, timeout=120)
@@ -65,7 +66,7 @@ def run_sanitized(
 
 
 class Library:
-    """A compiled controller: the functions of its header on memory of its own."""
+    """A compiled controller: the functions of its header on memory of its own; of two axes with arrays."""
 
     def __init__(
         self, export: ControllerExport, folder: Path, single: bool = False, options: Sequence[str] | None = None
@@ -74,46 +75,55 @@ class Library:
         options = options or (NETWORK if "fmaf" in export.functions else OPERATORS)
         compile_c([*STRICT, *options, "-fPIC", "-shared", "-o", "controller.so", "hystmpc.c", "-lm"], folder)
         real: Any = ctypes.c_float if single else ctypes.c_double
+        two, self._array = export.axes > 1, real
+        each: Any = ctypes.c_int * 2 if two else ctypes.c_int
+        angles, commands = (real * export.axes, real * export.commands) if two else (real, real)
+        given: Any = ctypes.c_void_p if two else real
+        self._given = self._as_array if two else float
 
         class Command(ctypes.Structure):
             _fields_ = [
-                *((name, real) for name in ("u", "predicted_deg", "departure_deg")),
-                *((name, ctypes.c_int) for name in ("source", "status", "fault", "missing", "planned", "inverse")),
+                *(("u", commands), ("predicted_deg", angles), ("departure_deg", angles), ("source", ctypes.c_int)),
+                *(("status", each), ("fault", each), ("missing", each), ("planned", ctypes.c_int), ("inverse", each)),
             ]
 
         self._library = ctypes.CDLL(str(folder / "controller.so"))
-        self._library.hystmpc_init.argtypes = [ctypes.c_void_p, real, real]
-        self._library.hystmpc_set_target.argtypes = [ctypes.c_void_p, real]
+        self._library.hystmpc_init.argtypes = [ctypes.c_void_p, given, given]
+        self._library.hystmpc_set_target.argtypes = [ctypes.c_void_p, given]
         self._library.hystmpc_stop.argtypes = [ctypes.c_void_p]
         self._library.hystmpc_hurry.argtypes = [ctypes.c_void_p]
-        self._library.hystmpc_look_on.argtypes = [ctypes.c_void_p, real, real]
-        self._library.hystmpc_measure.argtypes = [ctypes.c_void_p, real, real]
-        self._library.hystmpc_input.argtypes = [ctypes.c_void_p, ctypes.c_int, real]
-        self._library.hystmpc_step.argtypes = [ctypes.c_void_p, real, ctypes.c_void_p]
+        self._library.hystmpc_look_on.argtypes = [ctypes.c_void_p, given, given]
+        self._library.hystmpc_measure.argtypes = [ctypes.c_void_p, given, real]
+        if not two:
+            self._library.hystmpc_input.argtypes = [ctypes.c_void_p, ctypes.c_int, real]
+        self._library.hystmpc_step.argtypes = [ctypes.c_void_p, given, ctypes.c_void_p]
         self._library.hystmpc_step.restype = Command
         self._library.hystmpc_memory_bytes.restype = ctypes.c_ulong
         self.memory_bytes = int(self._library.hystmpc_memory_bytes())
         self.memory = ctypes.create_string_buffer(self.memory_bytes)
-        self._vector = real * export.reference_samples
+        self._vector = real * (export.reference_samples * export.axes)
 
-    def init(self, angle: float, command: float) -> int:
-        return int(self._library.hystmpc_init(self.memory, angle, command))
+    def _as_array(self, numbers: Any) -> Any:
+        return (self._array * len(numbers))(*numbers)
+
+    def init(self, angle: Any, command: Any) -> int:
+        return int(self._library.hystmpc_init(self.memory, self._given(angle), self._given(command)))
 
     def vector(self, reference: Any) -> Any:
         """A reference as `step` takes it."""
-        return self._vector(*np.asarray(reference).tolist())
+        return self._vector(*np.asarray(reference).ravel().tolist())
 
-    def step(self, angle: float, reference: Any = None) -> Any:
-        return self._library.hystmpc_step(self.memory, angle, reference)
+    def step(self, angle: Any, reference: Any = None) -> Any:
+        return self._library.hystmpc_step(self.memory, self._given(angle), reference)
 
-    def set_target(self, angle: float) -> None:
-        self._library.hystmpc_set_target(self.memory, angle)
+    def set_target(self, angle: Any) -> None:
+        self._library.hystmpc_set_target(self.memory, self._given(angle))
 
-    def look_on(self, angle: float, command: float) -> int:
-        return int(self._library.hystmpc_look_on(self.memory, angle, command))
+    def look_on(self, angle: Any, command: Any) -> int:
+        return int(self._library.hystmpc_look_on(self.memory, self._given(angle), self._given(command)))
 
-    def measure(self, angle: float, age: float) -> int:
-        return int(self._library.hystmpc_measure(self.memory, angle, age))
+    def measure(self, angle: Any, age: float) -> int:
+        return int(self._library.hystmpc_measure(self.memory, self._given(angle), age))
 
     def input(self, number: int, value: float) -> int:
         return int(self._library.hystmpc_input(self.memory, number, value))

@@ -2,85 +2,19 @@
  * is finite and within the limits on value, and on rate from the last one sent; what is remembered stays finite. */
 #include "hystmpc.c" /* not its header alone: what is remembered is looked at */
 
-#include <stdio.h>
+#include "fuzzing.h"
 
-#ifndef STEPS
-#define STEPS 3000
-#endif
-
-#define COUNT(x) (int)(sizeof(x) / sizeof(real))
 #define MOVE ((real)REACH * (real)(1.0 + (HYSTMPC_SINGLE ? 1e-4 : 1e-12))) /* in a sample at most */
 
 #define LOW ((real)HYSTMPC_LOWEST)
 #define HIGH ((real)HYSTMPC_HIGHEST)
 
 static hystmpc_controller controller;
-static unsigned long long state = 1u;
-
-static unsigned below(unsigned count) {
-    state = state * 6364136223846793005ull + 1442695040888963407ull;
-    return (unsigned)(state >> 33) % count;
-}
-
-static real between(real low, real high) { return low + (high - low) * (real)below(100001) / (real)100000; }
-
-/* Mostly a number as it should be, between `low` and `high`. */
-static real any(real low, real high) {
-    static const double odd[] = {0.0, -0.0, 1e-310, -1e-310, 1e-45, 1e30, -1e30, 1e308, -1e308, 9999.0, -9999.0, 1e4};
-    const unsigned kind = below(40);
-    if (kind == 0) return (real)NAN;
-    if (kind == 1) return (real)INFINITY;
-    if (kind == 2) return -(real)INFINITY;
-    if (kind < 8) return (real)odd[below(sizeof odd / sizeof odd[0])];
-    return between(low, high);
-}
-
-static int finite_all(const void *at, int count) {
-    const real *x = at;
-    for (int i = 0; i < count; i++)
-        if (!isfinite(x[i])) return 0;
-    return 1;
-}
-
-static const hystmpc_head *remembered(hystmpc_memory *m) {
-    hystmpc_memory_at(&exported_problem, memory_of(&controller), m);
-    return m->head;
-}
 
 static int stopped(void) {
     hystmpc_memory m;
-    return remembered(&m)->stopped;
-}
-
-static int estimate_finite(const hystmpc_estimate *e, int states) {
-    const hystmpc_sensing *s = exported_problem.sensing;
-    const hystmpc_noise *n = s->noise;
-    const hystmpc_known *k = e->known;
-    const int entries = states ? s->delay + 1 : 0;
-    return isfinite(k->command) && isfinite(k->disturbance) && isfinite(k->variance) && isfinite(k->measured) &&
-           finite_all(e->model, states) && finite_all(e->angles, entries) && finite_all(e->moves, entries) &&
-           (!n || finite_all(e->bank, 3 * n->sensors * n->drifts * n->motions));
-}
-
-static int learning_finite(const hystmpc_learning *l, const hystmpc_learner *n) {
-    const hystmpc_filters *f = l->filters;
-    return finite_all(l->past, hystmpc_numbers_past(n)) && finite_all(l->added, n->delay + 1) &&
-           finite_all(f->z, COUNT(f->z)) && finite_all(f->covariance, COUNT(f->covariance)) &&
-           finite_all(f->frozen, COUNT(f->frozen)) && finite_all(f->sums, COUNT(f->sums)) &&
-           finite_all(f->scores, COUNT(f->scores)) && isfinite(f->forecast_error) && isfinite(f->share);
-}
-
-static int state_finite(void) {
-    const hystmpc_model *model = exported_problem.model;
-    const int states = model ? model->predictor->states : 0;
-    hystmpc_memory m;
-    const hystmpc_head *h = remembered(&m);
-    int finite = isfinite(h->due) && finite_all(m.plan, h->planned) && finite_all(m.predicted, h->planned) &&
-                 finite_all(m.fed, h->fed) && finite_all(m.due, h->dues) && isfinite(h->integral) &&
-                 isfinite(h->speed) && isfinite(h->angle) && isfinite(h->age);
-    if (!model || !model->learner) return finite && estimate_finite(&m.observed.now, states);
-    return finite && estimate_finite(&m.observed.now, 0) && estimate_finite(&m.observed.alone, states) &&
-           learning_finite(&m.observed.learning, model->learner);
+    hystmpc_memory_at(&exported_problem, memory_of(&controller), &m);
+    return m.head->stopped;
 }
 
 static int admissible(real u) { return LOW <= u && u <= HIGH; }
@@ -161,7 +95,7 @@ int main(int count, char **words) {
         const hystmpc_command next = hystmpc_step(&controller, measured, below(5) ? reference : NULL);
         if (!admissible(next.u) || !(next.u <= last + MOVE && next.u >= last - MOVE)) return 5;
         if (!isfinite(next.departure_deg) || !isfinite(next.predicted_deg) != !exported_problem.model) return 6;
-        if (!state_finite()) return 7;
+        if (!memory_finite(&exported_problem, memory_of(&controller))) return 7;
         if (stopped() != (next.source == HYSTMPC_STOP)) return 8;
         last = next.u;
     }

@@ -23,7 +23,7 @@ from hystmpc.trials.types import Vec
 from .compiled import EXAMPLES, SOURCES, Library
 
 START_DEG, START = 45.0, 2.0
-_NONE, _FAR, _STUCK = 1, 2, 3
+NONE, FAR, STUCK = 1, 2, 3
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ def compare(
         if k % 301 == 300:
             reference[min(3, reference.size - 1)] = np.nan
         shift = noise[k] + 2.0 * np.sin(0.003 * k)  # of the sensor
-        given = {_NONE: [np.nan] * 2, _FAR: [500.0] * 2, _STUCK: list(seen)}.get(
+        given = {NONE: [np.nan] * 2, FAR: [500.0] * 2, STUCK: list(seen)}.get(
             int(fault[k]), [angle + shift for angle in angles]
         )
         seen = given if fault[k] == 0 else seen

@@ -22,6 +22,8 @@ from .test_commands import ANYTHING, CASES, PLAIN, START, START_DEG, tip, tip_of
 
 pytestmark = pytest.mark.slow  # seconds together
 
+HERE = Path(__file__).parent
+
 LOWER, UPPER, REACH = 0.5, 5.0, 0.16  # [mm]
 LIMITED = tip("builtin:pi", **PLAIN, limits={"lower": LOWER, "upper": UPPER, "rate_per_s": 4.0})
 ONE_FILTER = {f"{name}_sigma_deg{per}": 0.01 for name, per in (("sensor", ""), ("drift", "_per_sqrt_s"))}
@@ -213,8 +215,8 @@ def test_the_program_that_calls_at_random_finds_commands_beyond_the_rate(tmp_pat
     """Asked for half the rate it fails."""
     export = export_controller(LIMITED, folder=EXAMPLES)
     export.write(tmp_path)
-    program = Path(__file__).with_name("fuzzed.c").read_text(encoding="utf-8")
+    program = (HERE / "fuzzed.c").read_text(encoding="utf-8")
     (tmp_path / "main.c").write_text(program, encoding="utf-8")
     for reach, wanted in ((REACH, 0), (0.5 * REACH, 5)):
-        compile_c(["-std=c99", f"-DREACH={reach!r}", "-o", "run", "main.c", "-lm"], tmp_path)
+        compile_c(["-std=c99", f"-DREACH={reach!r}", f"-I{HERE}", "-o", "run", "main.c", "-lm"], tmp_path)
         assert subprocess.run([tmp_path / "run"], capture_output=True, timeout=60, check=False).returncode == wanted
