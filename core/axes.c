@@ -180,6 +180,13 @@ static void axes_foresee(const axes_call *c, int samples, real *travels, real *s
     }
 }
 
+/* What both axes share, c (2), in a rest at travels w (2): static coupling, since its friction is at rest as well. */
+static void axes_shared_at_rest(const hystmpc_axes *a, const real *w, real *shared) {
+    real state[2 + 4 * HYSTMPC_CROSS_MOST + 2 * HYSTMPC_CROSS_LATE];
+    hystmpc_cross_rest(a->cross, w, state);
+    hystmpc_cross_run(a->cross, 1, w, state, shared);
+}
+
 void hystmpc_axes_begin(const void *axes, char *memory, const real *commands) {
     const hystmpc_axes *const a = axes;
     axes_call c;
@@ -188,7 +195,8 @@ void hystmpc_axes_begin(const void *axes, char *memory, const real *commands) {
     copy(commands, c.last, a->commands);
     axes_travels(a, commands, 1, w, 1);
     if (!a->cross) return;
-    fill(c.past, R(0.0), HYSTMPC_AXES * HYSTMPC_PAST);
+    axes_shared_at_rest(a, w, c.past);
+    for (int k = 1; k < HYSTMPC_PAST; k++) copy(c.past, c.past + HYSTMPC_AXES * k, HYSTMPC_AXES);
     hystmpc_cross_rest(a->cross, w, c.cross);
 }
 
@@ -196,6 +204,11 @@ void hystmpc_axes_at(const void *axes, const real *angles_deg, const real *comma
     const hystmpc_axes *const a = axes;
     axes_seen(a, angles_deg, y);
     axes_travels(a, commands, 1, w, 1);
+    if (a->cross) {
+        real shared[HYSTMPC_AXES];
+        axes_shared_at_rest(a, w, shared);
+        for (int i = 0; i < HYSTMPC_AXES; i++) y[i] -= shared[i];
+    }
     for (int i = 0; i < HYSTMPC_AXES; i++) w[i] = clamp(w[i], axes_problem(a, i)->lower, axes_problem(a, i)->upper);
 }
 

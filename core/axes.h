@@ -47,8 +47,8 @@ typedef struct {
 HYSTMPC_API long hystmpc_axes_bytes(const void *axes);
 HYSTMPC_API long hystmpc_axes_room_bytes(const void *axes);
 
-/* Angles y (2) by measured angles (2), not-a-number where one cannot be used; travels w (2) by commands (n), each within
- * the limits of its axis. */
+/* At rest: angles y (2) by measured angles (2), without what both axes share, not-a-number where one cannot be used; travels
+ * w (2) by commands (n), each within the limits of its axis. */
 HYSTMPC_API void hystmpc_axes_at(const void *axes, const real *angles_deg, const real *commands, real *y, real *w);
 
 /* What both axes share, at rest under commands (n): call it when each has its start in the memory. */

@@ -249,9 +249,10 @@ class TwoAxisModel:
                 f"two axes: got commands {u.shape} and a start {start.shape}, expected (T, "
                 f"{len(self.command_limits)}) and (2,)"
             )
-        w, begin = self.travels(u), self.in_axes(start)
+        w = self.travels(u)
+        shared = np.zeros(w.shape) if self.cross_friction is None else self.cross_friction.run(w, self.dt_s)
+        begin = self.in_axes(start) - shared[0]
         y = [ChainModel(f).run(np.ascontiguousarray(w[:, i]), float(begin[i])) for i, f in enumerate(self.axes)]
-        shared = 0.0 if self.cross_friction is None else self.cross_friction.run(w, self.dt_s)
         return np.asarray((np.stack(y, axis=1) + shared) @ self.turn.T)
 
     def with_tendons(

@@ -142,6 +142,20 @@ def test_at_rest_of_both_references_the_commands_cease() -> None:
     assert angles == pytest.approx([4.0, 2.0], abs=0.3)
 
 
+def test_a_start_away_from_zero_knows_the_static_coupling_there() -> None:
+    """The device is the model and rests under commands that both axes share: nothing departs, nothing moves."""
+    model, held = two_axes(cross=COUPLED), np.array([2.0, -1.5])
+    path = np.clip(np.linspace(0.0, 2.0, 120), 0.0, 1.0)[:, None] * held
+    angles = model.run(path, np.zeros(2))[-1]
+    assert model.run(np.tile(held, (50, 1)), angles) == pytest.approx(np.tile(angles, (50, 1)), abs=1e-6)
+    controller = controller_of(model, KINDS[0])
+    state = controller.init(angles, held)
+    for _ in range(20):
+        command, state = controller.step(state, angles, np.tile(angles, (controller.horizon, 1)))
+        assert command.disturbance == pytest.approx(np.zeros(2), abs=1e-6)
+        assert command.u == pytest.approx(held, abs=1e-6)
+
+
 def test_both_axes_together_reverse_without_an_oscillation() -> None:
     """A motion of y removes the dead band of x, whose wanted angle is constant: x hardly moves to and fro."""
     model = two_axes(cross=CrossFriction(lag_s=0.0, radii=(0.3,), weights=((6.0,), (6.0,))))
