@@ -207,7 +207,7 @@ void hystmpc_axes_at(const void *axes, const real *angles_deg, const real *comma
     if (a->cross) {
         real shared[HYSTMPC_AXES];
         axes_shared_at_rest(a, w, shared);
-        for (int i = 0; i < HYSTMPC_AXES; i++) y[i] -= shared[i];
+        for (int i = 0; i < HYSTMPC_AXES; i++) y[i] -= is_finite(shared[i]) ? shared[i] : R(0.0); /* of commands that are none */
     }
     for (int i = 0; i < HYSTMPC_AXES; i++) w[i] = clamp(w[i], axes_problem(a, i)->lower, axes_problem(a, i)->upper);
 }
