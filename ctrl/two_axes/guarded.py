@@ -38,6 +38,7 @@ from ..problem import CHANGES
 Predictive = TypeVar("Predictive", bound=PredictiveSettings)
 _PREDICTIVE, _PAST = constants()["HYSTMPC_PREDICTIVE"], constants()["HYSTMPC_PAST"]
 _COMMAND = layout("hystmpc_command")
+_ROUNDING = 1e-6  # samples by which a frame may seem to be of the future
 _DEAR_S, _TOLERANCE = 0.018, 0.25  # where friction is shared: T [s]; tolerance of a hold, of the model's error
 
 
@@ -269,9 +270,10 @@ class TwoAxisController(HoldsAddresses):
         Raises:
             ControllerError: if the observers accept no late measurements, or none of that age.
         """
+        age = 0.0 if -_ROUNDING < age < 0.0 else age
         memory, angles = state.memory.copy(), usable_angles(angles_deg)
         forget_faults()
-        if not self._engine.axes_measure(self._address, memory, angles, max(age, 0.0)):
+        if not self._engine.axes_measure(self._address, memory, angles, age):
             reason = "; ".join(faults()) or f"angles {shown(angles_deg, 60)} deg of age {age:.3g} samples are unusable"
             raise ControllerError(f"measure: {reason}")
         return self._state(memory, state.cause)

@@ -336,6 +336,8 @@ def test_frames_of_a_late_sensor_start_and_correct(tmp_path: Path) -> None:
             tip.measure(seen[k - 4] + 0.5, (k - 4) * tip.dt)
         seen.append(device.advance(tip.step((np.nan, np.nan)).u))
     assert seen[-1] + 0.5 == pytest.approx([6.0, 4.0], abs=0.4)
+    with pytest.raises(ControllerError, match="age -3"):
+        tip.measure((6.0, 4.0), 123 * tip.dt)  # of the future
 
 
 @pytest.mark.parametrize("cross", [None, SHARED, COUPLED])
