@@ -37,6 +37,7 @@ _FIRST = 5  # order of effects on the command before delay and lag
 WHOLE = "whole samples"
 """Variant of a delay that is not fitted."""
 _OFF = 0.3
+_USUAL_S = 0.4  # longest usual delay
 _USUAL, _STORE = 0.6, 20  # share of the longest usual delay that is still usual; samples of one store
 _DAMPING = (0.06, 0.98)
 _REACHES = (0.3, 0.1, 0.8)  # widest play at the starts, as share of the command's range
@@ -146,11 +147,11 @@ def _as_slow(tau: Freedom, scale: Scale) -> Freedom:
 
 
 def _as_late(delay: Candidate, late_s: float, scale: Scale) -> Form:
-    """Delay near that of the device, where that is longer than usual; else the one of the list of effects."""
-    usual = delay.free[0].upper
-    if late_s <= _USUAL * usual:
-        return (delay,)
-    return split_delay(delay, late_s, usual, scale.dt_s)
+    """Delay near that of the device, where that is longer than usual; else one of up to a usual delay."""
+    if late_s > _USUAL * _USUAL_S:
+        return split_delay(delay, late_s, _USUAL_S, scale.dt_s)
+    free = (replace(delay.free[0], upper=_USUAL_S),)
+    return (replace(delay, operators=(Delay.at_rate(_USUAL_S, scale.dt_s),), free=free),)
 
 
 def split_delay(delay: Candidate, about_s: float, reach_s: float, dt_s: float) -> Form:

@@ -66,6 +66,7 @@ COMPUTED = {
     "ctrl/loop.py",
     "sim/gym_.py",
     "lab/benchmarks/endurance.py",
+    "lab/benchmarks/exported_axes.py",
     "lab/benchmarks/faults.py",
     "lab/benchmarks/inputs.py",
     "lab/benchmarks/lstm_presets.py",
