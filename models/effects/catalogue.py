@@ -84,13 +84,16 @@ def _creep(s: Scale) -> list[Candidate]:
     starts = tuple((share, tau) for tau in (2.0, 10.0) for share in (0.05, -0.1))
     one, two = Creep((0.0,), (5.0,)), Creep((0.0, 0.0), (1.0, 15.0))
     made = [Candidate("creep", side, side, 30, (one,), free, starts) for side in _INPUT]
-    for way, size, ends in (("relaxes", 0.05, (0.0, 0.6)), ("creeps on", -0.1, (-1.0, 0.0))):  # one solid, one sign
+    # Of two terms: a tendon gives way behind its drive, a wall goes on bending; each has one sign.
+    slow: tuple[tuple[Side, float, tuple[float, float]], ...] = (
+        ("command", 0.05, (0.0, 0.6)), ("output", -0.1, (-1.0, 0.0)),
+    )  # fmt: skip
+    for side, size, ends in slow:
         both = (
             *(Freedom(f"share_{i}", *ends, 0.05) for i in (1, 2)),
             *(replace(free[1], name=f"tau_{i}_s") for i in (1, 2)),
         )
-        begun = ((size, size, 1.0, 15.0),)
-        made += [Candidate("creep", f"{side}, {way}", side, 30, (two,), both, begun) for side in _INPUT]
+        made.append(Candidate("creep", f"{side}, two terms", side, 30, (two,), both, ((size, size, 1.0, 15.0),)))
     return made
 
 
