@@ -214,7 +214,9 @@ def affected_case(
 ) -> Case:
     """Case with these effects; without any, the device only deviates from its nominal parameters."""
     made = [_effect(bench, wish) for wish in wishes]
-    while any(np.ptp(angle) == 0 for angle in bench.angles([effect for effect, _ in made])):
+    for _ in range(_SIZE_TRIES):
+        if all(np.ptp(angle) > 0 for angle in bench.angles([effect for effect, _ in made])):
+            break
         made = [_finer(bench, *one) for one in made]
     effects, answers = [effect for effect, _ in made], [answer for _, answer in made]
     trials = bench.device.with_effects(effects).record(bench.plan.commands)

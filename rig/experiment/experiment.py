@@ -367,8 +367,8 @@ def decision_of(command: Command, due_deg: PerAxis, watch: ModelWatch, note: str
 
 
 def _greatest(disturbance_deg: PerAxis) -> float:
-    """Estimated disturbance of the axis with the greater one [deg]."""
-    return max(each(from_array(disturbance_deg)), key=abs, default=0.0)
+    """Estimated disturbance of the axis with the greater one [deg]; not-a-number only where none is known."""
+    return max(each(from_array(disturbance_deg)), key=lambda one: -1.0 if math.isnan(one) else abs(one), default=0.0)
 
 
 def model_watch(plausibility: PlausibilitySettings, law: ControllerSettings, dt_s: float) -> ModelWatch:

@@ -14,7 +14,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.ctrl.command import CommandLimits
+from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
+from hystmpc.ctrl.two_axes.guarded import TwoAxisCommand
 from hystmpc.rig.axes import columns, each, spread, together
+from hystmpc.rig.experiment.experiment import decision_of, model_watch
 from hystmpc.rig.recording.recorder_process import pack, unpack
 from hystmpc.rig.safety.gate import Gate
 from hystmpc.rig.safety.intake import Intake, SensorSettings
@@ -224,3 +227,11 @@ def test_settings_that_do_not_fit_two_axes_are_refused_in_one_line(
     assert words in str(error.value)
     assert "\n" not in str(error.value)
     assert len(str(error.value)) <= 300
+
+
+@pytest.mark.parametrize("disturbance", [(math.nan, 200.0), (200.0, math.nan), (3.0, -200.0)])
+def test_a_model_error_of_one_axis_stops_whatever_is_known_of_the_other(disturbance: tuple[float, float]) -> None:
+    watch = model_watch(PlausibilitySettings(), LinearisedMpcSettings(), 0.04)
+    command: Any = TwoAxisCommand(np.zeros(2), disturbance=np.array(disturbance))
+    causes = [decision_of(command, together((0.0, 0.0)), watch).fault for _ in range(500)]
+    assert "off its model" in causes[-1]
