@@ -2,13 +2,10 @@
 #include "at_rest.h"
 
 #include "blocks.h"
+#include "rest_search.h"
 #include "room.h"
 
-/* Newton's method on the angle given to the core, as settle.c: rounds, tolerance [deg], slope that leads nowhere,
- * step back from an edge of the core's range and step of a difference quotient [deg]. */
-enum { REST_ROUNDS = 8 };
-#define REST_CLOSE R(1e-9)
-#define REST_FLAT R(1e-3)
+/* Step back from an edge of the core's range and step of a difference quotient [deg]. */
 #if HYSTMPC_SINGLE
 #define REST_WITHIN R(1e-2)
 #define REST_NUDGE R(1e-2)
@@ -66,29 +63,16 @@ static real rest_chain(const chain_at_rest *c, real a, real *core) {
     return signal;
 }
 
-/* The core at the angle at which the whole shows y. Where that is beyond the core's range, the search goes on a little
- * within its edge; where nothing there is nearer, the first point beyond it stays. */
+/* The core at the angle at which the whole shows y, or nearest to it. */
 static void settle(const chain_at_rest *c, real y) {
-    real a = y, given = y, edge = R(0.0), core = y, other = y;
-    real left = y - rest_chain(c, a, &core);
-    for (int k = 0; k < REST_ROUNDS && !(absolute(left) < REST_CLOSE); k++) {
-        real slope = (rest_chain(c, a + REST_NUDGE, &other) - (y - left)) / REST_NUDGE;
-        if (absolute(slope) < REST_FLAT) {
-            const real side = left > R(0.0) ? R(1.0) : R(-1.0), last = edge;
-            if (absolute(edge) < R(0.5)) given = a;
-            a = core + side * REST_WITHIN;
-            edge = side;
-            left = y - rest_chain(c, a, &core);
-            slope = (rest_chain(c, a + side * REST_NUDGE, &other) - (y - left)) / (side * REST_NUDGE);
-            if (last * side > R(0.5) || absolute(slope) < REST_FLAT) {
-                a = given;
-                break;
-            }
-        }
-        a += left / slope;
-        left = y - rest_chain(c, a, &core);
+    rest_search s = rest_search_from(y);
+    real core, other, left = y - rest_chain(c, s.at, &core);
+    for (int k = 0; k < REST_MOST && s.open; k++) {
+        const real nudge = s.within ? s.edge * REST_NUDGE : REST_NUDGE;
+        const real slope = (rest_chain(c, s.at + nudge, &other) - (y - left)) / nudge;
+        rest_search_move(&s, left, slope, core, REST_WITHIN);
+        left = y - rest_chain(c, s.at, &core);
     }
-    rest_chain(c, a, &core);
 }
 
 long hystmpc_at_rest_bytes(const void *rule, const void *predictor) {
@@ -127,7 +111,5 @@ int hystmpc_at_rest(const void *rule, const void *predictor, real y, real u, rea
     return failed;
 }
 
-#undef REST_CLOSE
-#undef REST_FLAT
 #undef REST_WITHIN
 #undef REST_NUDGE

@@ -1,12 +1,9 @@
 /* States at rest of a whole chain, with derivatives. */
 #include "blocks.h"
+#include "rest_search.h"
 #include "room.h"
 
-/* Newton's method on the angle given to the core: rounds, tolerance [deg], slope that leads nowhere, step back from an
- * edge of the core's range [deg]. */
-enum { SETTLE_ROUNDS = 8 };
-#define SETTLE_CLOSE R(1e-9)
-#define SETTLE_FLAT R(1e-3)
+/* Step back from an edge of the core's range [deg]. */
 #define SETTLE_WITHIN R(1e-6)
 
 /* Rows n0 ... n0 + count - 1 of a call. The last direction is the core's angle, behind those of the caller. */
@@ -77,33 +74,23 @@ static real slope_of(const settling *c, int n) {
     return c->r.begins[k] > 0 ? R(0.0) : c->r.by[k * CHAIN_STRIDE + n];
 }
 
-/* The core of each row at the angle at which the chain shows y. Where that is beyond the core's range, the search goes on
- * a little within its edge; where nothing there is nearer, the first point beyond it stays. */
+/* The core of each row at the angle at which the chain shows y, or nearest to it. */
 static void settle_rows(const settling *c) {
-    real given[CHAIN_MOST], edge[CHAIN_MOST] = {R(0.0)};
-    int open[CHAIN_MOST], left = c->count;
-    for (int n = 0; n < c->count; n++) open[n] = 1;
+    rest_search search[CHAIN_MOST];
+    int left = c->count;
+    for (int n = 0; n < c->count; n++) search[n] = rest_search_from(c->at[n]);
     settle_chain(c);
-    for (int round = 0; round < SETTLE_ROUNDS && left > 0; round++) {
-        int turned[CHAIN_MOST] = {0}, stale = 0;
+    for (int round = 0; round < REST_MOST && left > 0; round++) {
+        int moved = 0;
         for (int n = 0; n < c->count; n++) {
-            const real miss = c->y[c->n0 + n] - shown_of(c, n), side = miss > R(0.0) ? R(1.0) : R(-1.0);
-            if (open[n] && absolute(miss) < SETTLE_CLOSE) open[n] = 0, left--;
-            if (!open[n] || !(absolute(slope_of(c, n)) < SETTLE_FLAT)) continue;
-            stale = 1;
-            if (absolute(edge[n]) < R(0.5)) given[n] = c->at[n];
-            if (edge[n] * side > R(0.5)) c->at[n] = given[n], open[n] = 0, left--;
-            else c->at[n] = c->shown[n] + side * SETTLE_WITHIN, edge[n] = side, turned[n] = 1;
+            rest_search *s = search + n;
+            if (!s->open) continue;
+            const real miss = c->y[c->n0 + n] - shown_of(c, n);
+            if (rest_search_move(s, miss, slope_of(c, n), c->shown[n], SETTLE_WITHIN)) moved = 1;
+            c->at[n] = s->at;
+            left -= !s->open;
         }
-        if (stale) settle_chain(c);
-        stale = 0;
-        for (int n = 0; n < c->count; n++) {
-            if (!open[n]) continue;
-            stale = 1;
-            if (turned[n] && absolute(slope_of(c, n)) < SETTLE_FLAT) c->at[n] = given[n], open[n] = 0, left--;
-            else c->at[n] += (c->y[c->n0 + n] - shown_of(c, n)) / slope_of(c, n);
-        }
-        if (stale) settle_chain(c);
+        if (moved) settle_chain(c);
     }
 }
 
@@ -113,7 +100,7 @@ static void store_rows(const settling *c, int rows, real *x, real *m) {
     const int g = r->abreast, d = r->directions, last = d - 1, out = r->shown[0];
     for (int n = 0; n < c->count; n++) {
         const real moves = slope_of(c, n);
-        const int leads = !(absolute(moves) < SETTLE_FLAT);
+        const int leads = !(absolute(moves) < REST_FLAT);
         for (int i = 0; i < r->states; i++) x[i * rows + c->n0 + n] = c->x[i * g + n];
         for (int q = 0; q < last; q++) {
             const real by = r->begins[out * d + q] > 0 ? R(0.0) : r->by[(out * d + q) * CHAIN_STRIDE + n];
@@ -171,6 +158,4 @@ void hystmpc_chain_settle(const int *chain, const real *constants, const real *k
     }
 }
 
-#undef SETTLE_CLOSE
-#undef SETTLE_FLAT
 #undef SETTLE_WITHIN

@@ -5,11 +5,14 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.identify.free_run import StagedChain
 from hystmpc.models.operators.hysteresis import CurvedPlays
-from hystmpc.models.operators.slow_changes import Creep, TrialShift
+from hystmpc.models.operators.operator import Operator
+from hystmpc.models.operators.slow_changes import Creep, FirstFlexure, TrialShift
 from hystmpc.models.operators.static_curves import Contact, NonlinearGain
 from hystmpc.models.program import dense
 from hystmpc.trials.errors import ModelError
@@ -106,17 +109,37 @@ BEHIND = {
 }
 
 
+def shown_at_rest(chain: Chain, angle: float) -> float:
+    """Angle that a chain shows which has settled at an angle, or nearest to it [deg]."""
+    staged = StagedChain(chain)
+    state = settled(staged, angle)[:, None]
+    return float(staged.simulate(np.full((1, 1), HELD), DT, state)[0][0, 0])
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.integers(0, 2**31), st.floats(0.001, 0.999), st.sampled_from([(), (FirstFlexure(0.3, 20.0, 0.4),)]))
+def test_curves_of_any_bend_are_settled_at_any_angle_that_they_can_hold(
+    seed: int, share: float, after: tuple[Operator, ...]
+) -> None:
+    """Slopes of neighbouring knots may differ a hundredfold, so that a step along the tangent leaves the range."""
+    rng = np.random.default_rng(seed)
+    plays, pieces = int(rng.integers(1, 5)), int(rng.integers(1, 9))
+    slopes = tuple(10.0 ** rng.uniform(-1.0, 1.0, (plays + 1) * (pieces + 1)))
+    core = CurvedPlays(slopes, 0.0, tuple(10.0 ** rng.uniform(-1.5, 0.7, plays)), 0.0, 6.0, pieces)
+    chain = Chain(core, after=after)
+    low, high = (shown_at_rest(chain, angle) for angle in (-1e4, 1e4))
+    angle = low + share * (high - low)
+    assert shown_at_rest(chain, angle) == pytest.approx(angle, abs=1e-6)
+
+
 @pytest.mark.parametrize("chain", BEHIND.values(), ids=list(BEHIND))
 @pytest.mark.parametrize("share", [0.0005, 0.02, 0.5, 0.98, 0.9995])
 def test_any_angle_that_the_chain_can_hold_is_shown_wherever_the_core_stands(chain: Chain, share: float) -> None:
     """The angle seen, taken for the core's own, may lie beyond what the core can hold at that command."""
-    staged = StagedChain(chain)
-    ends = [settled(staged, angle) for angle in (-400.0, 400.0)]
-    low, high = (float(staged.simulate(np.full((1, 1), HELD), DT, x[:, None])[0][0, 0]) for x in ends)
+    low, high = (shown_at_rest(chain, angle) for angle in (-400.0, 400.0))
     assert low < high
     angle = low + share * (high - low)
-    x = settled(staged, angle)
-    assert staged.simulate(np.full((1, 1), HELD), DT, x[:, None])[0][0, 0] == pytest.approx(angle, abs=1e-6)
+    assert shown_at_rest(chain, angle) == pytest.approx(angle, abs=1e-6)
 
 
 @pytest.mark.parametrize("chain", BEHIND.values(), ids=list(BEHIND))
