@@ -100,7 +100,7 @@ def _creep(s: Scale) -> list[Candidate]:
 def _drift(s: Scale) -> list[Candidate]:
     per_min = 60.0 / s.total_s
     offset = Freedom("offset_per_min", -s.angle_span * per_min, s.angle_span * per_min, 0.02 * s.angle_span * per_min)
-    gain = Freedom("gain_per_min", -0.5 * per_min, 0.5 * per_min, 0.02 * per_min)
+    gain = Freedom("gain_per_min", -0.95 * per_min, 3.0 * per_min, 0.02 * per_min)
     made = []
     for variant, free, starts in (("offset", (offset,), ((0.0,),)), ("gain", (gain,), ((0.0,),))):
         for carries in ("clock", ""):

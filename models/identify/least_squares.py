@@ -29,6 +29,7 @@ _AT_REACH = 0.95
 _LIMITED = 0.1  # of the tolerance, at which a search ends whose step the box has limited: it would go farther
 _LEAST_STEP = 1e-6  # in units: a search ends where a step below it is refused
 _REFUSED = 2  # steps in a row, after which an unknown is not taken for linear
+_HALVINGS = 12  # of the weights of two linearisations
 _CHANGES = 10  # of the active set, for each unknown
 _THREADS = 2
 
@@ -106,13 +107,15 @@ def minimise_in_boxes(
     margin = np.where(np.isfinite(wide), _MARGIN * wide, 0.0)
     lower, upper = bounds[0] + margin, bounds[1] - margin
     q, reach, refused = np.clip(start, lower, upper), _FIRST_REACH, 0
-    square = products(q)
+    square, beyond = products(q), None
     for _ in range(evaluations - 1):
         if not np.all(np.isfinite(square)):
             return q
-        step = _step(square, np.maximum(lower - q, -reach * units), np.minimum(upper - q, reach * units))
-        energy, both = float(square[-1, -1]), np.append(step, 1.0)
-        expected = energy - float(both @ square @ both)
+        box = np.maximum(lower - q, -reach * units), np.minimum(upper - q, reach * units)
+        energy, (step, lowest) = float(square[-1, -1]), _step_of(square, beyond, box)
+        if beyond is not None and energy - lowest <= 0.1 * tolerance * energy:
+            beyond, (step, lowest) = None, _step_of(square, None, box)
+        expected = energy - lowest
         if expected <= 0.1 * tolerance * energy:
             return q
         at = np.clip(q + step, lower, upper)
@@ -124,9 +127,13 @@ def minimise_in_boxes(
         used, before = float(np.max(np.abs(step) / units)), reach
         if fall < _POOR * expected:
             reach = _SMALLER * (used or reach)
+            if np.isfinite(fall):
+                beyond = _seen_from(there, -step) if fall <= 0.0 else square
         elif fall > _GOOD * expected and used > _AT_REACH * reach:
             reach *= _LARGER
         if fall > 0.0:
+            if beyond is not None:
+                beyond = _other(there, _seen_from(square, step), _seen_from(beyond, step))
             q, square = at, there
             ends = tolerance * energy if used < _AT_REACH * before else _LIMITED * tolerance * energy
             if _POOR * expected < fall < ends:
@@ -134,6 +141,38 @@ def minimise_in_boxes(
         elif used < _LEAST_STEP and np.all(np.isfinite(units)):
             return q
     return q
+
+
+def _seen_from(square: Mat, away: Vec) -> Mat:
+    """Products of (J, r) with r as linearised at another point, which lies `away` (Q,) from theirs."""
+    moved = np.eye(away.size + 1)
+    moved[:-1, -1] = away
+    return np.asarray(moved.T @ square @ moved)
+
+
+def _other(here: Mat, one: Mat, two: Mat) -> Mat:
+    """That of two linearisations whose derivatives of the error differ more from those here."""
+    return max((one, two), key=lambda square: float(np.sum((square - here)[:-1, -1] ** 2)))
+
+
+def _step_of(square: Mat, beyond: Mat | None, box: tuple[Vec, Vec]) -> tuple[Vec, float]:
+    """Step (Q,) of least error in a box, and that error; with a second linearisation, of the greater of both errors."""
+
+    def errors(part: float) -> tuple[Vec, float, float]:
+        step = _step(square if beyond is None else (1 - part) * square + part * beyond, *box)
+        both = np.append(step, 1.0)
+        here = float(both @ square @ both)
+        return step, here, here if beyond is None else float(both @ beyond @ both)
+
+    step, here, there = errors(0.0)
+    if there <= here:
+        return step, here
+    low, high = 0.0, 1.0
+    for _ in range(_HALVINGS):
+        part = 0.5 * (low + high)
+        step, here, there = errors(part)
+        low, high = (part, high) if there > here else (low, part)
+    return step, max(here, there)
 
 
 def _step(square: Mat, low: Vec, high: Vec) -> Vec:

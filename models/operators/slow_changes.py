@@ -90,7 +90,7 @@ class Drift(Operator):
     """
 
     offset_per_min: Annotated[float, Number("in/min", -1e3, 1e3, 0.0, "change of the offset with time")]
-    gain_per_min: Annotated[float, Number("1/min", -1.0, 1.0, 0.0, "change of the gain with time")]
+    gain_per_min: Annotated[float, Number("1/min", -10.0, 10.0, 0.0, "change of the gain with time")]
     offset_per_travel: Annotated[float, Number("1", -0.1, 0.1, 0.0, "change of the offset with travel")]
     name: ClassVar[str] = "drift"
     state_names: ClassVar[tuple[str, ...]] = ("t", "s", "u")

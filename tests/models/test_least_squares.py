@@ -110,3 +110,20 @@ def test_an_unknown_that_is_linear_only_near_the_start_is_still_improved() -> No
     ends = np.array([-9.0]), np.array([9.0])
     end = minimise_in_boxes(kinked, np.zeros(1), ends, np.full(1, np.inf), 40, 1e-6)
     assert end[0] == pytest.approx(0.1, abs=0.02)
+
+
+@given(SEEDS, st.integers(2, 8))
+def test_a_search_goes_on_along_a_kink(seed: int, size: int) -> None:
+    """A linearisation on either side leads across the kink, where the error rises; its least value lies along it."""
+    random = np.random.default_rng(seed)
+    normal = random.standard_normal(size)
+    normal /= np.linalg.norm(normal)
+    along = random.standard_normal(size)
+    target = 3.0 * (along - (along @ normal) * normal)  # on the kink
+    problem = Counted(
+        lambda q: np.array([1.0 + 8.0 * abs(normal @ q), *(q - target)]),
+        lambda q: np.vstack([8.0 * (1.0 if normal @ q >= 0.0 else -1.0) * normal, np.eye(size)]),
+    )
+    ends = np.full(size, -40.0), np.full(size, 40.0)
+    end = minimise_in_boxes(problem, 1e-6 * normal, ends, np.full(size, 1.0), 100, 1e-12)
+    assert float(problem(end)[-1, -1]) < 1.0 + 0.02 * float(target @ target)  # 1 at the target
