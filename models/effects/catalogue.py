@@ -102,7 +102,10 @@ def _drift(s: Scale) -> list[Candidate]:
     offset = Freedom("offset_per_min", -s.angle_span * per_min, s.angle_span * per_min, 0.02 * s.angle_span * per_min)
     gain = Freedom("gain_per_min", -0.95 * per_min, 3.0 * per_min, 0.02 * per_min)
     made = []
-    for variant, free, starts in (("offset", (offset,), ((0.0,),)), ("gain", (gain,), ((0.0,),))):
+    for variant, free, starts in (
+        ("offset", (offset,), ((0.0,),)),
+        ("gain", (gain,), ((0.0,), (-0.4 * per_min,), (0.8 * per_min,))),
+    ):
         for carries in ("clock", ""):
             kind = f"{variant}, {'over all trials' if carries else 'in each trial'}"
             made.append(Candidate("drift", kind, "output", 60, (Drift(0.0, 0.0, 0.0),), free, starts, carries))
