@@ -71,7 +71,8 @@ class ClosedShares:
 
     def _widened(self, middle: float, ends: Interval) -> Interval:
         further = self.spread * max(abs(middle), _LEAST_SIZE)
-        below, above = (np.hypot(np.hypot(part, further), _LEAST_PART) for part in (middle - ends[0], ends[1] - middle))
+        least = min(_LEAST_PART, abs(middle))
+        below, above = (np.hypot(np.hypot(part, further), least) for part in (middle - ends[0], ends[1] - middle))
         return middle - float(below), middle + float(above)
 
 
