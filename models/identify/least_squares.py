@@ -92,6 +92,8 @@ def minimise_in_boxes(
     The engine's active-set method finds the exact optimum of every step: one step solves a linear problem, whatever
     bounds it touches, and rounding errors stay rounding errors. The box bounds linear unknowns too once two steps in a
     row were refused: r may be linear in them only as long as the state before the first sample stays within its bounds.
+    At a kink of r the linearisations on its two sides each lead across it. After a poor step the greater of both errors
+    is lowered, as a bundle method does, so that the search goes on along the kink.
 
     Args:
         products: of the columns of (J, r) at unknowns q (Q + 1, Q + 1).
@@ -101,7 +103,8 @@ def minimise_in_boxes(
         evaluations: greatest number of calls of `products`.
         tolerance: relative fall of the squared error at which the search ends; a tenth where the box limits the step.
 
-    Source: Conn, Gould, Toint, Trust-Region Methods (2000), algorithm 6.1.1 with the infinity norm, section 7.8.
+    Source: Conn, Gould, Toint, Trust-Region Methods (2000), algorithm 6.1.1 with the infinity norm, section 7.8;
+    of two linearisations: Lemarechal, in Nondifferentiable Optimization, Math. Programming Study 3 (1975).
     """
     wide = bounds[1] - bounds[0]
     margin = np.where(np.isfinite(wide), _MARGIN * wide, 0.0)
@@ -111,29 +114,19 @@ def minimise_in_boxes(
     for _ in range(evaluations - 1):
         if not np.all(np.isfinite(square)):
             return q
-        box = np.maximum(lower - q, -reach * units), np.minimum(upper - q, reach * units)
-        energy, (step, lowest) = float(square[-1, -1]), _step_of(square, beyond, box)
-        if beyond is not None and energy - lowest <= 0.1 * tolerance * energy:
-            beyond, (step, lowest) = None, _step_of(square, None, box)
-        expected = energy - lowest
+        box, energy = (np.maximum(lower - q, -reach * units), np.minimum(upper - q, reach * units)), square[-1, -1]
+        beyond, step, expected = _least(square, beyond, box, 0.1 * tolerance * energy)
         if expected <= 0.1 * tolerance * energy:
             return q
         at = np.clip(q + step, lower, upper)
         there = products(at)
-        fall = energy - float(there[-1, -1]) if np.all(np.isfinite(there)) else -np.inf
+        fall = float(energy - there[-1, -1]) if np.all(np.isfinite(there)) else -np.inf
         refused = 0 if fall > 0.0 else refused + 1
         if refused == _REFUSED:
             units = np.where(np.isinf(units), np.maximum(np.abs(step), 1.0) / reach, units)
         used, before = float(np.max(np.abs(step) / units)), reach
-        if fall < _POOR * expected:
-            reach = _SMALLER * (used or reach)
-            if np.isfinite(fall):
-                beyond = _seen_from(there, -step) if fall <= 0.0 else square
-        elif fall > _GOOD * expected and used > _AT_REACH * reach:
-            reach *= _LARGER
+        reach, beyond = _next_reach(reach, used, fall / expected), _beyond(square, beyond, there, step, fall / expected)
         if fall > 0.0:
-            if beyond is not None:
-                beyond = _other(there, _seen_from(square, step), _seen_from(beyond, step))
             q, square = at, there
             ends = tolerance * energy if used < _AT_REACH * before else _LIMITED * tolerance * energy
             if _POOR * expected < fall < ends:
@@ -141,6 +134,34 @@ def minimise_in_boxes(
         elif used < _LEAST_STEP and np.all(np.isfinite(units)):
             return q
     return q
+
+
+def _next_reach(reach: float, used: float, fall: float) -> float:
+    """Half-width of the next box, from the part of it that a step took, and its fall over the expected one."""
+    if fall < _POOR:
+        return _SMALLER * (used or reach)
+    return _LARGER * reach if fall > _GOOD and used > _AT_REACH * reach else reach
+
+
+def _beyond(square: Mat, beyond: Mat | None, there: Mat, step: Vec, fall: float) -> Mat | None:
+    """Linearisation on the other side of a kink, after a step with its fall over the expected one; None without one.
+
+    A step that is poor may have crossed a kink: behind it lies the linearisation that it left, or did not take.
+    """
+    if fall <= 0.0:
+        return _seen_from(there, -step) if np.isfinite(fall) else beyond
+    left = _seen_from(square, step)
+    if beyond is None:
+        return left if fall < _POOR else None
+    return _other(there, left, _seen_from(beyond, step))
+
+
+def _least(square: Mat, beyond: Mat | None, box: tuple[Vec, Vec], enough: float) -> tuple[Mat | None, Vec, float]:
+    """Step (Q,) of least error and its expected fall; a second linearisation is left where both expect too little."""
+    step, lowest = _step_of(square, beyond, box)
+    if beyond is not None and square[-1, -1] - lowest <= enough:
+        return _least(square, None, box, enough)
+    return beyond, step, float(square[-1, -1] - lowest)
 
 
 def _seen_from(square: Mat, away: Vec) -> Mat:
