@@ -151,7 +151,7 @@ def _beyond(square: Mat, beyond: Mat | None, there: Mat, step: Vec, fall: float)
     if fall <= 0.0:
         return _seen_from(there, -step) if np.isfinite(fall) else beyond
     left = _seen_from(square, step)
-    if beyond is None:
+    if beyond is None or fall < _POOR:
         return left if fall < _POOR else None
     return _other(there, left, _seen_from(beyond, step))
 
