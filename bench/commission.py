@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from hystmpc.ctrl.command import CommandLimits
-from hystmpc.rig.axes import NAMES, PerAxis, each, in_words, of_axis, together
+from hystmpc.rig.axes import NAMES as AXIS_NAMES
+from hystmpc.rig.axes import PerAxis, each, in_words, of_axis, together
 from hystmpc.rig.config import BenchSettings
 from hystmpc.trials.brief import brief
 from hystmpc.trials.errors import ConfigError, LogError
@@ -40,8 +41,8 @@ from .identify import (
     subject_of,
 )
 from .motions import CONTROLLERS, CORNER_STEPS, SCANS_HZ, Budget, budget, corners, directions, recordings
-from .plane import fit_both, make_plane_controllers
 from .phases import Bounded, Climb, ClimbResult, Dash, moving_axes
+from .plane import fit_both, make_plane_controllers
 from .stages import AxisFigures, Stages, begun, differing, fingerprint
 from .verify import MPC, Tracks, Verification, judge_tracks, load_tracks, track_all
 
@@ -58,7 +59,10 @@ _COMPUTING_S = {FIT: 60.0, DIAGNOSE: 150.0, CONTROLLER: 40.0, "report": 10.0}  #
 
 @dataclass(frozen=True)
 class CommandRange:
-    """Range and rate of the command for all further stages, with the angles at rest within it [deg]; pairs of two axes."""
+    """Range and rate of the command for all further stages, with the angles at rest within it [deg].
+
+    Of two axes each is a pair.
+    """
 
     lower: AxisFigures
     upper: AxisFigures
@@ -86,6 +90,7 @@ class Commissioned:
     report: Path
     verified: Verification | None  # the verdict; None after a commissioning from logs
     device_s: float  # device time used [s]
+    joined: str = ""  # what joins the axes of a device of two, in one line; empty of one axis
     __repr__ = brief
 
 
@@ -243,7 +248,7 @@ def _ranged(settings: CommissionSettings, stages: Stages) -> CommandRange:
         for within in (min, max)
     )
     words = "; ".join(_range_words(settings, c) for c in climbs)
-    for i, one in enumerate(limits):
+    for i in range(len(limits)):
         _require_motion(
             settings, [c for c in climbs if i in moving_axes(settings, c.end)], i, lower[i], upper[i], words
         )
@@ -290,7 +295,7 @@ def _require_motion(
         LogError: in one line that says what to correct.
     """
     limits, unit, safe = settings.axes_limits[axis], settings.command_unit, each(settings.safe_command)[axis]
-    at = f"range of {NAMES[axis]}" if len(settings.axes_limits) > 1 else "range"
+    at = f"range of {AXIS_NAMES[axis]}" if len(settings.axes_limits) > 1 else "range"
     if upper - lower < _LEAST_RANGE * (limits.upper - limits.lower):
         raise LogError(
             f"{at}: got {lower:.4g} to {upper:.4g} {unit} ({words}), expected at least "
@@ -305,8 +310,9 @@ def _require_motion(
         )
     if moved[axis] < moved.max():
         raise LogError(
-            f"{at}: command {NAMES[axis]} moved angle {NAMES[1 - axis]} by {moved.max():.2f} deg and its own by "
-            f"{moved[axis]:.2f} deg, expected its own to move more; exchange the angles or the commands"
+            f"{at}: the command moved angle {AXIS_NAMES[1 - axis]} by {moved.max():.2f} deg and angle "
+            f"{AXIS_NAMES[axis]} by {moved[axis]:.2f} deg, expected more of {AXIS_NAMES[axis]}; exchange the angles or "
+            "the commands"
         )
     first = climbs[0]
     start, end = each(first.start_deg)[axis], each(first.angle_deg)[axis]
@@ -341,7 +347,7 @@ def _dashed(
 ) -> tuple[float, str]:
     """Usable rate of one axis, and how it was determined."""
     phase, several = Dash(bench, end), len(bench.axes_limits) > 1
-    name, axes = f"{RANGE}/dash" + (f"-{NAMES[axis]}" if several else ""), len(bench.axes_limits)
+    name, axes = f"{RANGE}/dash" + (f"-{AXIS_NAMES[axis]}" if several else ""), len(bench.axes_limits)
     device.explore(name, Bounded(phase, settings.commission.angle_limits_deg, bench.sensor, axes), bench)
     rate, limit = float(f"{phase.rate_per_s:.4g}"), bench.axes_limits[axis].rate
     rate = min(rate, limit)
@@ -392,7 +398,8 @@ def _reported(
     stages.say("report")
     root, used_s = stages.root, stages.used_s
     report = write_commission(root / REPORT_FILE, identified, range_words, used_s, tracks or {}, verified)
-    return Commissioned(root, root / TIP_FILE, identified.model, report, verified, used_s)
+    joined = identified.fitted.report if identified.subject.axes > 1 else ""
+    return Commissioned(root, root / TIP_FILE, identified.model, report, verified, used_s, joined)
 
 
 def _from_logs(files: Sequence[Path], settings: CommissionSettings | None) -> tuple[Subject, str]:

@@ -123,7 +123,7 @@ class CommissionSettings(BenchSettings):
         return low + _MARGIN * (high - low), high - _MARGIN * (high - low)
 
 
-class PlaneCommissionSettings(PlaneBenchSettings, CommissionSettings):
+class PlaneCommissionSettings(PlaneBenchSettings, CommissionSettings):  # pyright: ignore[reportIncompatibleVariableOverride]
     """Settings of a whole bench file of two axes for `hystmpc commission`, with its block `commission`.
 
     Attributes:

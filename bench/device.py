@@ -16,7 +16,7 @@ import numpy as np
 from hystmpc.ctrl.loop import Plant
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.ctrl.two_axes.tip_controller import TwoAxisTipSettings
-from hystmpc.rig.axes import NAMES, PerAxis, columns, each, from_array, is_known, like
+from hystmpc.rig.axes import NAMES, PerAxis, columns, from_array, is_known, like
 from hystmpc.rig.config import BenchSettings, RunSettings
 from hystmpc.rig.experiment.experiment import tracking_phase
 from hystmpc.rig.experiment.phases import CommandMotion, Phase
@@ -116,8 +116,8 @@ class Track:
             return read[0] if axes == 1 else np.stack(read, axis=1)
 
         late = tuple(value > 0 for value in n["late"].tolist()) if "late" in n else ()  # tracks of earlier versions
-        signals = (signal(name) for name in ("reference_deg", "angle_deg", "command"))
-        return cls(n["time_s"], *signals, table.texts["source"], late)
+        reference, angle, command = map(signal, ("reference_deg", "angle_deg", "command"))
+        return cls(n["time_s"], reference, angle, command, table.texts["source"], late)
 
 
 AnyTip = TipSettings | TwoAxisTipSettings

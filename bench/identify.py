@@ -25,17 +25,16 @@ from hystmpc.models.contract.metadata import DeviceLimits, Range
 from hystmpc.models.kinds.catalogue import chosen_kind
 from hystmpc.models.kinds.kind import FitRequest, ModelKind
 from hystmpc.models.load import load_model
-from hystmpc.models.prediction.build import controller_model
 from hystmpc.models.model import LoadedModel
+from hystmpc.models.prediction.build import controller_model
 from hystmpc.models.simulator import load_simulator, save_simulator
 from hystmpc.models.two_axes.model import has_two_axes
 from hystmpc.rig.axes import PerAxis, each
 from hystmpc.sim.config import SimulationConfig, TuningSettings
 from hystmpc.sim.plants.simulated import SimulatedPlant
+from hystmpc.sim.results import Limits
 from hystmpc.sim.study import Study, prepare
 from hystmpc.sim.tuning.gains import PidLike, PidTuning, mean_square_of, tuned_gains
-from hystmpc.sim.results import Limits
-from hystmpc.trajectories.motion import MotionSettings
 from hystmpc.trajectories.point_to_point import PointToPoint
 from hystmpc.trials.axes import both_axes
 from hystmpc.trials.check import Severity, check
@@ -449,7 +448,7 @@ def tuning_study(
     return prepare(SimulationConfig.parse(data, "tuning"))
 
 
-def _from_rest(motion: MotionSettings, rest_deg: float) -> MotionSettings:
+def _from_rest(motion: AnyMotion, rest_deg: float) -> AnyMotion:
     """Reference that begins at the rest angle of the device."""
     if isinstance(motion, PointToPoint):
         targets, holds = (motion.start_deg, *motion.targets_deg), (1.0, *motion.holds_s)

@@ -88,7 +88,7 @@ def _described(fitted: TwoAxisFit, kind: str, left_out_deg: float) -> FittedMode
     model = [math.nan if n is None or n.model_sigma_deg is None else n.model_sigma_deg for n in noises]
     named = [(name, axis.parts) for name, axis in zip(NAMES, fitted.axes, strict=True) if axis.parts is not None]
     return FittedModel(
-        report=f"{kind}: {fitted.report}; motion left out {left_out_deg:.3g} deg",
+        report=f"{kind}: {fitted.report}; {_turned(fitted)}; motion left out {left_out_deg:.3g} deg",
         parts=tuple((f"{n}: {r.part}", r.form, r.without_deg, r.with_deg) for n, p in named for r in p.rows),
         numbers=tuple((f"{n}: {r.owner} {r.name}", r.value, *r.ci90) for n, p in named for r in p.parameters),
         sensor_sigma_deg=math.hypot(*sensor),
@@ -99,9 +99,19 @@ def _described(fitted: TwoAxisFit, kind: str, left_out_deg: float) -> FittedMode
     )
 
 
+def _turned(fitted: TwoAxisFit) -> str:
+    """Turns of the tendons and of the sensor's frame, in words."""
+    (tx, ty), (fx, fy) = turns_deg(fitted.model.mix), turns_deg(fitted.model.frame)
+    return f"tendons turned by {tx:.1f} and {ty:.1f} deg, the sensor's frame by {fx:.1f} and {fy:.1f} deg"
+
+
 def turns_deg(matrix: Sequence[Sequence[float]]) -> tuple[float, float]:
-    """Turn of the tendons of x and of y from their axes, by the columns of M; or of both axes in the sensor's frame [deg]."""
-    (a, b), (c, d) = np.asarray(matrix, dtype=np.float64)
+    """Turns of x and of y by the columns of a matrix [deg]: of the tendons by M, of the sensor's frame by A.
+
+    Args:
+        matrix: (2, 2).
+    """
+    (a, b), (c, d) = matrix
     return math.degrees(math.atan2(c, a)), math.degrees(math.atan2(-b, d))
 
 
@@ -124,7 +134,10 @@ def reached_plane(subject: Subject, model: TwoAxisModel) -> ReachedPlane:
                 f"model: reaches no box of angles around {middle.round(1).tolist()} deg, expected what the recordings "
                 "show; look at the free runs of the model"
             )
-    speeds = [share * float(2 * h) / (one.upper - one.lower) * one.rate for h, one in zip(half, each(subject.limits))]
+    speeds = [
+        share * float(2 * h) / (one.upper - one.lower) * one.rate
+        for h, one in zip(half, each(subject.limits), strict=True)
+    ]
     ends = zip((middle - share * half).tolist(), (middle + share * half).tolist(), speeds, strict=True)
     x, y = (ReachedAngles(*one) for one in ends)
     return ReachedPlane(x, y)

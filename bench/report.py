@@ -208,7 +208,8 @@ def _scores(verified: Verification) -> Table:
     return Table(
         columns,
         rows,
-        f"Measured less wanted angle [deg], of two axes the distance in their plane. The sensor's noise, {verified.sensor_sigma_deg:.3f} deg, is in all of "
+        "Measured less wanted angle [deg], of two axes the distance in their plane. "
+        f"The sensor's noise, {verified.sensor_sigma_deg:.3f} deg, is in all of "
         "them. Rest: share of the settled samples of holds in which the command did not move. Late: samples without "
         "time for the controller, as a deadline was missed.",
     )

@@ -140,9 +140,9 @@ class Stages:
         return result
 
     def record(self, runs: Mapping[str, Vec], bench: BenchSettings, folder: Path, limited: bool = False) -> list[str]:
-        """Play commands (N,), of two axes (N, 2), and write each recording into `folder/trials`; return the recordings' names in order.
+        """Play commands and write each recording into `folder/trials`; return the recordings' names in order.
 
-        Existing recordings are kept.
+        Commands are (N,), of two axes (N, 2). Existing recordings are kept.
 
         Args:
             limited: whether a motion that might not end within the device time is left out, with those after it.

@@ -212,6 +212,8 @@ def commission(call: Call, dry_run: DryRun = False) -> None:
     kept = f"interrupted: complete stages are kept in {call.out}, the same command goes on"
     with _stages_kept(call.out):
         made: Commissioned = call.run("commission", kept=kept)
+    if made.joined:
+        line(f"model: {made.joined}")
     verified = made.verified
     if verified is None:
         line("made from logs alone: nothing was verified")

@@ -225,7 +225,7 @@ def _plain(config: Settings) -> object:
 def _investigation(
     config: Settings, overrides: Iterable[str], model: Path | str | None, minutes: float | None
 ) -> InvestigateSettings:
-    from hystmpc.bench.config import InvestigateSettings, located_investigation, kind_of_commission, CommissionSettings
+    from hystmpc.bench.config import CommissionSettings, InvestigateSettings, kind_of_commission, located_investigation
 
     if kind_of_commission(_plain(config), _folder_of(config)) is not CommissionSettings:
         raise ConfigError(

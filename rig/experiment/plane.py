@@ -120,7 +120,7 @@ def _take_first_step(tip: TwoAxisTipController, reference: PlaneMotion) -> None:
         raise ControllerError(f"controller: the first step without the device stopped: {command.status}")
     try:
         tip.replay(np.tile(command.u, (2, 1)), np.zeros((2, AXES)))
-    except Exception as error:
+    except Exception as error:  # noqa: BLE001 - whatever it is, it must not happen while the device moves
         raise ControllerError(
             f"controller: {cause_of(error)} as it takes over from a recording, expected one that can; of a model with "
             "shared friction a PID cannot: leave cross_friction out of the PID's model"
