@@ -1,4 +1,4 @@
-"""Devices of two axes that are dead, exchanged, coupled or interrupted: what a commissioning does with people beside it."""
+"""Devices of two axes that are dead, exchanged, coupled or interrupted: what a commissioning of them does."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from .small_plane import PLANE, Pair, commissioned_plane, plane_settings, requir
 @pytest.mark.parametrize("axis", ["x", "y"])
 @pytest.mark.parametrize("watched", [True, False])
 def test_a_dead_axis_is_refused_in_one_line(axis: str, watched: bool, tmp_path: Path) -> None:
-    """Whether the watch on motion stops the climb, or it ends: the line names the axis, and both commands go to rest."""
+    """Whether the watch on motion stops the climb or it ends: the line names the axis, both commands go to rest."""
     k, sent = "xy".index(axis), list[Pair]()
     bench = plane_settings(tmp_path, plausibility={"watch_motion": watched, "travel": 1.5})
 
@@ -154,6 +154,7 @@ def in_a_thread(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hystmpc.bench.device.open_recorder_process", recorder)
     monkeypatch.setattr("hystmpc.bench.phases.HOLD_S", 0.1)
     monkeypatch.setattr("hystmpc.bench.motions._REST_S", 0.1)
+    monkeypatch.setattr("hystmpc.bench.motions._SHAKES", (0.2, -0.1, 0.0))
 
 
 @pytest.mark.usefixtures("in_a_thread")
@@ -190,7 +191,7 @@ def test_over_a_real_socket_ctrl_c_keeps_what_is_complete(tmp_path: Path) -> Non
             while not (folder / "trials" / "first.csv").exists():
                 time.sleep(0.02)
             it.tap.commands.clear()
-            while len(it.tap.commands) < RATE_HZ:
+            while len(it.tap.commands) < 0.8 * RATE_HZ:
                 time.sleep(0.02)
             signal.raise_signal(signal.SIGINT)
 
@@ -221,7 +222,10 @@ def test_recordings_keep_to_a_range_that_is_narrower_than_the_limits(tmp_path: P
         (["commission", "--set", "commission.minutes=11"], "less than or equal to 10"),
         (["commission", "--set", "commission.minutes=2"], "expected more minutes (at most 10)"),
         (["commission", "--set", "commission.diagnose=true"], "expected false for two axes"),
-        (["commission", "--set", "safe_command=0"], "safe_command: got 0, expected a list [x, y]"),
+        (
+            ["commission", "--set", "safe_command=0"],
+            "safe_command: expected a list [x, y], a number",
+        ),
         (["investigate"], "investigate: got a bench of two axes, expected one axis"),
     ],
 )
