@@ -64,8 +64,8 @@ class RecentAngles:
 
     def keep(self, now: PhaseInput) -> None:
         """Add the angles of a sample."""
-        angles, shown = each(now.angle_deg), each(now.shown_deg)
-        shown = shown if len(shown) == len(angles) else angles
+        axes = len(self._recent)
+        angles, shown = spread(now.angle_deg, axes), spread(now.shown_deg, axes)
         for recent, angle, seen in zip(self._recent, angles, shown, strict=True):
             value = angle if math.isfinite(angle) else seen
             if math.isfinite(value):
@@ -194,11 +194,8 @@ class Climb(Phase):
         self._watch.judge(angles[self._lead], held, round(1e9 * self._samples * self._bench.dt_s))
         self._still = max(self._still, self._watch.still)
         medians = self._recent.medians
-        if (
-            not self._back
-            and math.isfinite(self._start_deg[0])
-            and (beyond := self._recent.beyond(medians)) is not None
-        ):
+        begun, beyond = math.isfinite(self._start_deg[0]), self._recent.beyond(medians)
+        if not self._back and begun and beyond is not None:
             self._turn(now, self._said(f"the angle reached {medians[beyond]:.2f} deg", beyond))
         if not self._plan and not self._back:
             self._rested(now, medians)
@@ -280,8 +277,9 @@ class Climb(Phase):
         for i, (low, high) in enumerate(self._recent.limits):
             move = _CAUTION * float(self._slope[i]) * wanted
             room = max(high - float(angles[i]) if move > 0 else float(angles[i]) - low, 0.0)
-            if abs(move) > room and abs(wanted * (room / abs(move))) < abs(step):
-                step, bound = wanted * (room / abs(move)), i
+            if abs(move) > room:
+                shorter = wanted * (room / abs(move))
+                step, bound = (shorter, i) if abs(shorter) < abs(step) else (step, bound)
         return (step if abs(step) >= _LEAST_STEP * min(abs(whole), abs(left)) else 0.0), bound
 
     def _turn(self, now: PhaseInput, why: str) -> None:

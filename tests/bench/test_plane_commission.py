@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import hystmpc
-from hystmpc.bench import phases
+from hystmpc.bench import identify, phases
 from hystmpc.bench.commission import NAMES
 from hystmpc.bench.motions import CONTROLLERS
 from hystmpc.bench.plane import turns_deg
@@ -39,6 +39,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Whole:
     with pytest.MonkeyPatch.context() as patch:
         make_quick(patch)
         patch.setattr(phases, "HOLD_S", 0.3)
+        patch.setattr(identify, "_TUNED_S", 1.0)
         folder, sent = tmp_path_factory.mktemp("whole"), list[Pair]()
         commissioned_plane(plane_settings(folder, turned(TURN_DEG)), folder / "run", sent)
     return folder / "run", sent
