@@ -49,8 +49,8 @@ def commission(
 ) -> Commissioned:
     """Commission a device: safe range, recordings, model, controller, verification, report.
 
-    The device moves for five minutes at most, in real time; one of `kind: simulated` is computed faster. The same call
-    goes on after the last complete stage.
+    The device moves for five minutes at most, one of two axes for ten, in real time; one of `kind: simulated` is
+    computed faster. The same call goes on after the last complete stage.
 
     Args:
         config: a bench with the block `commission`: a YAML file or a mapping; may be None with logs.
