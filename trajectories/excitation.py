@@ -321,6 +321,8 @@ def plane_identification_motions(
     Raises:
         TrajectoryError: if a number is not positive.
     """
+    for stroke, rate in zip(strokes, rates, strict=True):
+        require_positive(stroke=stroke, rate=rate)
     speed = min(rate / stroke for rate, stroke in zip(rates, strokes, strict=True))  # strokes per second
 
     def sized(motion: PlaneMotion, longest_s: float, turned: bool = False) -> PlaneMotion:
