@@ -14,6 +14,7 @@ from hystmpc.ctrl.command import CommandLimits
 from hystmpc.rig.axes import NAMES as AXIS_NAMES
 from hystmpc.rig.axes import PerAxis, each, in_words, of_axis, together
 from hystmpc.rig.config import BenchSettings
+from hystmpc.trials.axes import both_axes
 from hystmpc.trials.brief import brief
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.from_outside import only_reads
@@ -405,6 +406,11 @@ def _reported(
 def _from_logs(files: Sequence[Path], settings: CommissionSettings | None) -> tuple[Subject, str]:
     """Subject of an identification from logs, and the origin of its limits in words."""
     trials = read_trials(files)
+    if both_axes(trials) is not None or (settings is not None and len(settings.axes_limits) > 1):
+        raise ConfigError(
+            "logs: got two axes, expected --logs and a bench of one axis; use `hystmpc fit auto LOGS --out model.yaml` "
+            "and write the file of a controller with the line `model: model.yaml`"
+        )
     low = min(float(trial.command.min()) for trial in trials)
     high = max(float(trial.command.max()) for trial in trials)
     rates = [np.abs(np.diff(trial.command)) / np.diff(trial.t) for trial in trials]
@@ -418,11 +424,6 @@ def _from_logs(files: Sequence[Path], settings: CommissionSettings | None) -> tu
         limits = CommandLimits(low, high, rate)
         return Subject("recorded device", unit, hz, limits, low, None, tuple(files), CommissionBlock()), words
     bounds, safe = settings.limits, settings.safe_command
-    if len(settings.axes_limits) > 1:
-        raise ConfigError(
-            "logs: got --logs and a bench of two axes, expected one axis; use `hystmpc fit auto LOGS --out model.yaml` "
-            "and write a controller file with `model: model.yaml`"
-        )
     if unit != settings.command_unit:
         raise ConfigError(f"logs: got commands in {unit}, expected the bench's {settings.command_unit}")
     low, high = max(min(low, safe), bounds.lower), min(max(high, safe), bounds.upper)

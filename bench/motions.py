@@ -44,6 +44,7 @@ _RECORD_SHARE, _PLANE_RECORD_SHARE = 0.55, 0.7  # of the device time that prepar
 _REST_S = 1.0  # at the safe command, before and after a recording
 _RETURN = 0.3  # share of the greatest rate on the ways to and from rest
 _BETWEEN_S = 0.6  # contact, hand-over and confirmation of each run
+_PLANE_LEAD_S = 2.0  # holds before and after the approach to a reference in the plane
 _SLOPE_SHARE = 0.35  # of the greatest speed that a fast scan may ask for
 _WHOLE_SHARE = (0.5, 0.85)  # of the reached angles that a reference takes
 _EDGE = 0.08  # of the reached angles at either end, which references leave out
@@ -200,7 +201,7 @@ def budget(settings: CommissionSettings) -> Budget:
     share = min((recorded * left - ways_s) / whole_s, 1.0)
     given = settings.commission.motions
     count = len(CONTROLLERS) * (len(given) if given else 1 + len(SCANS_HZ))
-    around = _BETWEEN_S + return_seconds(settings) + 1.5
+    around = _BETWEEN_S + return_seconds(settings) + 1.5 + (_PLANE_LEAD_S if len(settings.axes_limits) > 1 else 0.0)
     record = ways_s + whole_s * share
     motion = (left - record) / count - around
     least = (

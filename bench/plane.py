@@ -94,7 +94,7 @@ def _described(fitted: TwoAxisFit, kind: str, left_out_deg: float) -> FittedMode
         sensor_sigma_deg=math.hypot(*sensor),
         model_sigma_deg=math.hypot(*model),
         advice=tuple(f"{n}: {text}" for n, p in named for text in p.advice),
-        sensor_step_deg=max((0.0 if noise is None else noise.sensor_resolution_deg) for noise in noises),
+        sensor_step_deg=sensor_step_deg(fitted.model),
         left_out_deg=left_out_deg,
     )
 
@@ -169,7 +169,8 @@ def make_plane_controllers(
     for (name, start), part in zip(starts.items(), parts(progress, list(shares.values())), strict=True):
         square = partial(_mean_square, _study(subject, model, models[name], reached, sigma_deg))
         tuned[name] = searched_gains(start, square, shares[name], subject.block.seed, part)
-    gains = {name: one.settings.gains.model_dump() for name, one in tuned.items()}
+    step = sensor_step_deg(known)
+    gains = {name: one.settings.gains.with_dead_zone(step).model_dump() for name, one in tuned.items()}
     files: dict[Path, dict[str, Any]] = {
         folder / "pid.yaml": {"kind": "pid", "gains": gains["pid"]},
         folder / "inverse_pid.yaml": {"kind": "inverse_pid", "gains": gains["inverse_pid"]},
@@ -183,6 +184,12 @@ def make_plane_controllers(
     )
 
 
+def sensor_step_deg(model: TwoAxisModel) -> float:
+    """Greater resolution of both angles according to the model [deg]; 0 for a continuous sensor."""
+    noises = (axis.identification.noise for axis in model.axes)
+    return max(0.0 if noise is None else noise.sensor_resolution_deg for noise in noises)
+
+
 def _mean_square(study: TwoAxisStudy, settings: AnyControllerSettings) -> float:
     """Mean over motions of the mean square distance of both angles from the reference [deg^2]."""
     runs = [study.run(settings, motion) for motion in study.motions]
@@ -191,9 +198,10 @@ def _mean_square(study: TwoAxisStudy, settings: AnyControllerSettings) -> float:
 
 def _study(subject: Subject, device: Path, model: Path, reached: ReachedPlane, sigma_deg: float) -> TwoAxisStudy:
     """Simulated study for the tuning: the identified device with the sensor's noise, and the controller's model."""
-    motions = tuning_references(subject, reached)
+    motions, step = tuning_references(subject, reached), sensor_step_deg(load_two_axes(device))
+    noise = math.sqrt(max(sigma_deg**2 / AXES - step**2 / 12.0, 0.0))  # of each angle, without its steps
     data: dict[str, Any] = {
-        "plant": {"simulator": str(device), "noise_deg": sigma_deg / math.sqrt(AXES)},
+        "plant": {"simulator": str(device), "noise_deg": noise, "quantisation_deg": step},
         "model": str(model),
         "motions": {name: motion.model_dump() for name, motion in motions.items()},
         "controllers": {"pid": {"kind": "pid"}},

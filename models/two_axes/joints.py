@@ -91,7 +91,7 @@ def choose_joint(trials: Sequence[Trial]) -> Chosen:
     order = _order(trials)
     data = _Data.of(trials, order)
     parts, all_ = np.array_split(np.arange(data.samples), _PARTS), np.ones(data.samples, dtype=bool)
-    squares, numbers = {name: np.empty(_PARTS) for name in FREE}, {}
+    squares, numbers = {name: np.empty(_PARTS) for name in FREE}, dict[str, Vec]()
     starts = [np.zeros(4), data.straight_numbers()]
     for name, free in FREE.items():
         numbers[name] = data.best_fitted(free, all_, [*starts, *numbers.values()])

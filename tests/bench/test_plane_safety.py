@@ -17,7 +17,7 @@ from hystmpc.bench.config import PlaneCommissionSettings, narrowed
 from hystmpc.bench.device import BenchDevice, DeviceStoppedError, plants_in
 from hystmpc.bench.motions import recordings, shaken
 from hystmpc.bench.phases import Bounded, Climb, Dash
-from hystmpc.bench.stages import EndedEarlyError, Stages
+from hystmpc.bench.stages import EndedEarlyError, Stages, write_recording
 from hystmpc.rig.recording.recording import RecordingMeta, open_recording
 from hystmpc.rig.recording.sample import Sink
 from hystmpc.rig.run import reset_latch
@@ -242,11 +242,11 @@ def test_what_is_refused_is_one_line(
     assert not (tmp_path / "run").exists()
 
 
-def test_logs_with_a_bench_of_two_axes_are_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("with_bench", [True, False])
+def test_logs_of_two_axes_are_refused_before_a_folder_is_made(with_bench: bool, tmp_path: Path) -> None:
     bench = plane_settings(tmp_path)
-    trial = spied_plane(bench, tmp_path, []).play("2-record/one", np.zeros((60, 2)) + [0.0, 0.0], bench)
-    file = tmp_path / "log.csv"
-    lines = (f"{t},{u[0]},{u[1]},{a[0]},{a[1]}" for t, u, a in zip(trial.t, trial.commands, trial.angles, strict=True))
-    file.write_text("time_s,command_x,command_y,angle_x_deg,angle_y_deg\n" + "\n".join(lines) + "\n")
-    with pytest.raises(ConfigError, match="got --logs and a bench of two axes"):
-        commission_logs([file], tmp_path / "out", bench)
+    trial = spied_plane(bench, tmp_path, []).play("2-record/one", np.zeros((60, 2)), bench)
+    log = write_recording(trial, tmp_path / "log.csv")
+    with pytest.raises(ConfigError, match=r"logs: got two axes, expected .* one axis"):
+        commission_logs([log], tmp_path / "out", bench if with_bench else None)
+    assert not (tmp_path / "out").exists()
