@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, zip_longest
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from hystmpc.rig.experiment.phases import Past, PhaseInput, PrepareStep
 from hystmpc.rig.safety.ramp import ramp_commands
 from hystmpc.trajectories.config import AnyPlaneMotion, CircleSettings, PointsSettings
 from hystmpc.trajectories.excitation import (
+    LEFT_OUT,
     PLANE_WHOLE_S,
     WHOLE_S,
     identification_motions,
@@ -93,18 +94,23 @@ AnyMotion = MotionSettings | AnyPlaneMotion
 def recordings(bench: BenchSettings, share: float, seed: int) -> dict[str, Vec]:
     """Commands (N,) of each recording, from rest at the safe command and back, within the limits of the bench.
 
-    Of two axes (N, 2): the recordings of one axis for each alone, and those in which both move.
+    Of two axes (N, 2): the recordings of one axis for each alone, and those in which both move. They take turns, so
+    that every part of them tells of both axes: the identification is judged on one part after another.
 
     `share` is that of the full three minutes, of two axes of the full eight.
     """
     random, axes = np.random.default_rng([seed, 1]), bench.axes_limits
     if len(axes) == 1:
         return dict(_of_axis(axes[0], bench.safe_command, bench.dt_s, share, random))
-    runs = dict[str, Vec]()
-    for i, (limits, safe) in enumerate(zip(axes, each(bench.safe_command), strict=True)):
-        for name, commands in _of_axis(limits, safe, bench.dt_s, share, random):
-            runs[f"{name}_{NAMES[i]}"] = placed(bench, i, commands)
-    return runs | dict(_of_both(bench, share, random))
+    each_axis = [
+        [
+            (f"{name}_{NAMES[i]}", placed(bench, i, one))
+            for name, one in _of_axis(limits, safe, bench.dt_s, share, random)
+        ]
+        for i, (limits, safe) in enumerate(zip(axes, each(bench.safe_command), strict=True))
+    ]
+    groups = zip_longest(*each_axis, _of_both(bench, share, random))
+    return dict(sorted((run for group in groups for run in group if run), key=lambda run: run[0] == LEFT_OUT))
 
 
 def _of_axis(
