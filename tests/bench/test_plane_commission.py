@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import hystmpc
-from hystmpc.bench import identify, phases
+from hystmpc.bench import identify, phases, plane
 from hystmpc.bench.commission import NAMES
 from hystmpc.bench.motions import CONTROLLERS
 from hystmpc.bench.plane import turns_deg
@@ -19,6 +19,7 @@ from hystmpc.models.two_axes.evaluate import evaluate_two_axes
 from hystmpc.models.two_axes.identify import fit_two_axes
 from hystmpc.models.two_axes.joints import Chosen, Joint
 from hystmpc.models.two_axes.model import load_two_axes
+from hystmpc.sim.tuning import gains
 from hystmpc.trials.axes import both_axes
 from hystmpc.trials.read import read_trials
 from hystmpc.trials.trial import Trial
@@ -40,6 +41,8 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Whole:
         make_quick(patch)
         patch.setattr(phases, "HOLD_S", 0.3)
         patch.setattr(identify, "_TUNED_S", 1.0)
+        patch.setattr(gains, "_PER_PARAMETER", 1)
+        patch.setattr(plane, "evaluations", lambda subject: {"pid": 4, "inverse_pid": 4})
         folder, sent = tmp_path_factory.mktemp("whole"), list[Pair]()
         commissioned_plane(plane_settings(folder, turned(TURN_DEG)), folder / "run", sent)
     return folder / "run", sent
