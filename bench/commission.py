@@ -11,7 +11,10 @@ from typing import Any
 import numpy as np
 
 from hystmpc.ctrl.command import CommandLimits
+from hystmpc.rig.axes import NAMES as AXIS_NAMES
+from hystmpc.rig.axes import PerAxis, each, in_words, of_axis, together
 from hystmpc.rig.config import BenchSettings
+from hystmpc.trials.axes import both_axes
 from hystmpc.trials.brief import brief
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.from_outside import only_reads
@@ -19,7 +22,7 @@ from hystmpc.trials.read import expand_logs, read_trials
 from hystmpc.trials.run_folder import RunFolder, alone_in
 from hystmpc.trials.types import Progress
 
-from .config import CommissionBlock, CommissionSettings, narrowed
+from .config import CommissionBlock, CommissionSettings, kind_of_commission, narrowed
 from .device import MovableDevice, Open, opened_device
 from .identify import (
     FIXED_FILE,
@@ -38,9 +41,10 @@ from .identify import (
     make_controllers,
     subject_of,
 )
-from .motions import CONTROLLERS, SCANS_HZ, Budget, budget, directions, recordings
-from .phases import Bounded, Climb, ClimbResult, Dash
-from .stages import Figure, Stages, begun, differing, fingerprint
+from .motions import CONTROLLERS, CORNER_STEPS, SCANS_HZ, Budget, budget, corners, directions, recordings
+from .phases import Bounded, Climb, ClimbResult, Dash, moving_axes
+from .plane import fit_both, make_plane_controllers
+from .stages import AxisFigures, Stages, begun, differing, fingerprint
 from .verify import MPC, Tracks, Verification, judge_tracks, load_tracks, track_all
 
 NAMES = ("1-range", "2-record", "3-check", "4-fit", "5-diagnose", "6-controller", "7-verify")
@@ -49,19 +53,23 @@ NAMES = ("1-range", "2-record", "3-check", "4-fit", "5-diagnose", "6-controller"
 RANGE, RECORD, CHECK, FIT, DIAGNOSE, CONTROLLER, VERIFY = NAMES
 REPORT_FILE = "report.html"
 _LEAST_RANGE = 0.2  # of the limits: a narrower range says that something is wrong
+_LEAST_CORNER = 0.5  # of the ranges of two axes: a narrower one says that one angle hardly leaves the other any room
 _LEAST_MOTION = 0.02  # of the angle limits
 _COMPUTING_S = {FIT: 60.0, DIAGNOSE: 150.0, CONTROLLER: 40.0, "report": 10.0}  # expected, for the bar
 
 
 @dataclass(frozen=True)
 class CommandRange:
-    """Range and rate of the command for all further stages, with the angles at rest within it [deg]."""
+    """Range and rate of the command for all further stages, with the angles at rest within it [deg].
 
-    lower: float
-    upper: float
-    rate_per_s: float
-    low_deg: Figure
-    high_deg: Figure
+    Of two axes each is a pair.
+    """
+
+    lower: AxisFigures
+    upper: AxisFigures
+    rate_per_s: AxisFigures
+    low_deg: AxisFigures
+    high_deg: AxisFigures
     words: str  # how they were determined
     still: float = 0.0  # longest travel of the command in which the tip did not move
 
@@ -83,6 +91,7 @@ class Commissioned:
     report: Path
     verified: Verification | None  # the verdict; None after a commissioning from logs
     device_s: float  # device time used [s]
+    joined: str = ""  # what joins the axes of a device of two, in one line; empty of one axis
     __repr__ = brief
 
 
@@ -91,9 +100,13 @@ def plan_rows(settings: CommissionSettings, planned: Budget) -> tuple[tuple[str,
     steps, given = settings.commission.range_steps, settings.commission.motions
     motions = len(given) if given else 1 + len(SCANS_HZ)
     prepare = f"; preparation {planned.prepare_s:.0f} s" if planned.prepare_s else ""
+    climbs, recorded = f"climb in {steps} steps, a dash", "6 recordings: steps, holds, sines, reversals"
+    if len(settings.axes_limits) > 1:
+        climbs = f"climbs of x and y in {steps} steps, to 4 corners, dashes"
+        recorded = "6 recordings of each axis alone, 5 of both: circles, rows, reversals, one left out of the fit"
     rows = [
-        (RANGE, f"climb in {steps} steps, a dash at the greatest rate{prepare}", planned.range_s + planned.prepare_s),
-        (RECORD, f"6 recordings: steps, holds, sines, reversals{prepare}", planned.record_s + planned.prepare_s),
+        (RANGE, f"{climbs} at the greatest rate{prepare}", planned.range_s + planned.prepare_s),
+        (RECORD, f"{recorded}{prepare}", planned.record_s + planned.prepare_s),
         (CHECK, "none", 0.0),
         (FIT, "none", 0.0),
         (DIAGNOSE, "none" if settings.commission.diagnose else "left out", 0.0),
@@ -171,7 +184,8 @@ def rewrite_report(folder: Path | str) -> Commissioned:
         raise LogError(f"{folder}: holds another kind of run, expected the folder of a commissioning")
     plain = {key: value for key, value in config.items() if key != "commissioning"}
     bench = {key: value for key, value in plain.items() if key != "logs"}
-    settings = CommissionSettings.parse(bench, str(run.path / "config.yaml")) if bench else None
+    kind = kind_of_commission(bench, run.path)
+    settings = kind.parse(bench, str(run.path / "config.yaml")) if bench else None
     with alone_in(run.path):
         if settings is not None and "logs" not in plain:
             stages = Stages(run.path, plain, opened_device(settings, run.path), closed=True)
@@ -204,7 +218,8 @@ def _on_device(settings: CommissionSettings, stages: Stages, planned: Budget) ->
 
     recorded = stages.complete(RECORD, RecordedTrials, record, device_s=planned.record_s + planned.prepare_s)
     trials = [stages.root / RECORD / "trials" / f"{name}.csv" for name in recorded.names]
-    subject = subject_of(settings, bench.limits.build(), trials)
+    limits = bench.axes_limits
+    subject = subject_of(settings, limits[0] if len(limits) == 1 else limits, trials)
     identified = _identified(subject, stages)
 
     def verify(folder: Path) -> Verification:
@@ -220,66 +235,148 @@ def _on_device(settings: CommissionSettings, stages: Stages, planned: Budget) ->
 
 
 def _ranged(settings: CommissionSettings, stages: Stages) -> CommandRange:
-    """Determine the command range by climbs from the safe command, and its rate by a dash, within the limits."""
+    """Determine the command range by climbs from the safe command, and its rate by a dash, within the limits.
+
+    Of two axes each climbs alone, then both climb at once towards every corner: the range is made smaller until its
+    corners are within the limits of both angles.
+    """
     stages.say("range")
-    block, climbs = settings.commission, list[ClimbResult]()
-    for k, end in enumerate(directions(settings)):
-        climb = Climb(settings, end, settings.angle_limits, block.range_steps, block.angle_limits_deg is None)
-        stages.device.explore(f"{RANGE}/climb-{k + 1}", climb, settings)
-        climbs.append(climb.result)
-    safe, limits = settings.safe_command, settings.limits
-    ends = [safe, *(c.end for c in climbs if math.isfinite(c.end))]
-    lower, upper = min(ends), max(ends)
-    angles = [a for c in climbs for a in (c.start_deg, c.angle_deg) if math.isfinite(a)]
-    words = "; ".join(f"to {c.end:.4g} {settings.command_unit}: {c.why}" for c in climbs)
+    limits, safe = settings.axes_limits, each(settings.safe_command)
+    climbs = [_climbed(settings, stages, end, k) for k, end in enumerate(directions(settings))]
+    ends = [[each(c.end)[i] for c in climbs if i in moving_axes(settings, c.end)] for i in range(len(safe))]
+    lower, upper = (
+        [within([at, *(end for end in one if math.isfinite(end))]) for at, one in zip(safe, ends, strict=True)]
+        for within in (min, max)
+    )
+    words = "; ".join(_range_words(settings, c) for c in climbs)
+    for i in range(len(limits)):
+        _require_motion(
+            settings, [c for c in climbs if i in moving_axes(settings, c.end)], i, lower[i], upper[i], words
+        )
+    reached = narrowed(settings, together(lower), together(upper), together(one.rate for one in limits))
+    share, said = _cornered(settings, stages, reached, len(climbs))
+    lower, upper = (
+        [end if share == 1.0 else at + share * (end - at) for at, end in zip(safe, side, strict=True)]
+        for side in (lower, upper)
+    )
+    still = max(c.still for c in climbs)
+    within = narrowed(settings, together(lower), together(upper), together(one.rate for one in limits), still)
+    first = [next(c.end for c in climbs if i in moving_axes(settings, c.end)) for i in range(len(safe))]
+    rates = [_dashed(within, end, stages.device, settings, i) for i, end in enumerate(first)]
+    angles = np.array([each(a) for c in climbs for a in (c.start_deg, c.angle_deg)])
+    words = "; ".join([words, *said, *(text for _, text in rates)])
+    return CommandRange(
+        lower=together(lower),
+        upper=together(upper),
+        rate_per_s=together(rate for rate, _ in rates),
+        low_deg=together(np.nanmin(angles, axis=0).tolist()),
+        high_deg=together(np.nanmax(angles, axis=0).tolist()),
+        words=words,
+        still=still,
+    )
+
+
+def _climbed(settings: CommissionSettings, stages: Stages, end: PerAxis, number: int) -> ClimbResult:
+    block = settings.commission
+    climb = Climb(settings, end, settings.angle_limits, block.range_steps, block.angle_limits_deg is None)
+    stages.device.explore(f"{RANGE}/climb-{number + 1}", climb, settings)
+    return climb.result
+
+
+def _range_words(settings: CommissionSettings, climb: ClimbResult) -> str:
+    return f"to {in_words(climb.end, '.4g')} {settings.command_unit}: {climb.why}"
+
+
+def _require_motion(
+    settings: CommissionSettings, climbs: Sequence[ClimbResult], axis: int, lower: float, upper: float, words: str
+) -> None:
+    """Refuse a range that is too narrow, and an axis that does not move, or not with its command.
+
+    Raises:
+        LogError: in one line that says what to correct.
+    """
+    limits, unit, safe = settings.axes_limits[axis], settings.command_unit, each(settings.safe_command)[axis]
+    at = f"range of {AXIS_NAMES[axis]}" if len(settings.axes_limits) > 1 else "range"
     if upper - lower < _LEAST_RANGE * (limits.upper - limits.lower):
         raise LogError(
-            f"range: got {lower:.4g} to {upper:.4g} {settings.command_unit} ({words}), expected at least "
+            f"{at}: got {lower:.4g} to {upper:.4g} {unit} ({words}), expected at least "
             f"{100 * _LEAST_RANGE:.0f} % of the limits; correct limits, sensor or commission.angle_limits_deg"
         )
-    low_deg, high_deg = min(angles), max(angles)
-    if high_deg - low_deg < _LEAST_MOTION * (settings.angle_limits[1] - settings.angle_limits[0]):
+    seen = np.array([each(a) for c in climbs for a in (c.start_deg, c.angle_deg)])
+    moved = np.nanmax(seen, axis=0) - np.nanmin(seen, axis=0)
+    if moved[axis] < _LEAST_MOTION * (settings.angle_limits[1] - settings.angle_limits[0]):
         raise LogError(
-            f"range: the angle moved by {high_deg - low_deg:.2f} deg over {lower:.4g} to {upper:.4g} "
-            f"{settings.command_unit}, expected a device that moves; is the tip blocked, the sensor fixed?"
+            f"{at}: the angle moved by {moved[axis]:.2f} deg over {lower:.4g} to {upper:.4g} "
+            f"{unit}, expected a device that moves; is the tip blocked, the sensor fixed?"
+        )
+    if moved[axis] < moved.max():
+        raise LogError(
+            f"{at}: the command moved angle {AXIS_NAMES[1 - axis]} by {moved.max():.2f} deg and angle "
+            f"{AXIS_NAMES[axis]} by {moved[axis]:.2f} deg, expected more of {AXIS_NAMES[axis]}; exchange the angles or "
+            "the commands"
         )
     first = climbs[0]
-    if (first.angle_deg - first.start_deg) * (first.end - safe) < 0:
+    start, end = each(first.start_deg)[axis], each(first.angle_deg)[axis]
+    if (end - start) * (each(first.end)[axis] - safe) < 0:
         raise LogError(
-            "range: the angle falls as the command rises, expected it to rise; set wire.angle_sign: -1 (and "
+            f"{at}: the angle falls as the command rises, expected it to rise; set wire.angle_sign: -1 (and "
             "wire.angle_offset_deg)"
         )
-    still = max(c.still for c in climbs)
-    within = narrowed(settings, lower, upper, limits.rate_per_s, still)
-    rate, said = _dashed(within, first.end, stages.device, block.angle_limits_deg)
-    return CommandRange(lower, upper, rate, low_deg, high_deg, f"{words}; {said}", still)
+
+
+def _cornered(
+    settings: CommissionSettings, stages: Stages, reached: BenchSettings, climbs: int
+) -> tuple[float, list[str]]:
+    """Part of the range of two axes whose corners are within the limits of both angles; 1 of one axis."""
+    share, block = 1.0, settings.commission
+    for k, corner in enumerate(corners(reached)):
+        climb = Climb(reached, corner, settings.angle_limits, CORNER_STEPS, block.angle_limits_deg is None)
+        stages.device.explore(f"{RANGE}/climb-{climbs + k + 1}", climb, reached)
+        share = min(share, climb.result.share)
+    if not corners(reached):
+        return share, []
+    if share < _LEAST_CORNER:
+        raise LogError(
+            f"range: both commands at once reached {100 * share:.0f} % of their ranges, expected at least "
+            f"{100 * _LEAST_CORNER:.0f} %; correct limits, sensor or commission.angle_limits_deg"
+        )
+    return share, [f"both at once reach {100 * share:.0f} % of these"]
 
 
 def _dashed(
-    bench: BenchSettings, end: float, device: MovableDevice, angle_limits: tuple[float, float] | None
+    bench: BenchSettings, end: PerAxis, device: MovableDevice, settings: CommissionSettings, axis: int
 ) -> tuple[float, str]:
-    phase = Dash(bench, end)
-    device.explore(f"{RANGE}/dash", Bounded(phase, angle_limits, bench.sensor), bench)
-    rate, limit = float(f"{phase.rate_per_s:.4g}"), bench.limits.rate_per_s
+    """Usable rate of one axis, and how it was determined."""
+    phase, several = Dash(bench, end), len(bench.axes_limits) > 1
+    name, axes = f"{RANGE}/dash" + (f"-{AXIS_NAMES[axis]}" if several else ""), len(bench.axes_limits)
+    device.explore(name, Bounded(phase, settings.commission.angle_limits_deg, bench.sensor, axes), bench)
+    rate, limit = float(f"{phase.rate_per_s:.4g}"), bench.axes_limits[axis].rate
     rate = min(rate, limit)
     if not phase.tells:
-        return rate, f"the device does not tell what it holds, so that {limit:g} per s is taken as it is"
-    return rate, f"the device follows {limit:g} per s" if rate == limit else f"it follows {rate:g} of {limit:g} per s"
+        text = f"the device does not tell what it holds, so that {limit:g} per s is taken as it is"
+    elif rate == limit:
+        text = f"the device follows {limit:g} per s"
+    else:
+        text = f"it follows {rate:g} of {limit:g} per s"
+    return rate, of_axis(text, axis, axes)
 
 
 def _identified(subject: Subject, stages: Stages) -> IdentifiedDevice:
     """Execute the stages without a device: check, identification, diagnosis, controllers."""
     checked = stages.complete(CHECK, TrialCheck, lambda folder: check_trials(subject))
 
+    of_plane = subject.axes > 1
+
     def fit(folder: Path) -> FittedModel:
-        return fit_model(subject, folder, stages.computing("identify"))
+        return (fit_both if of_plane else fit_model)(subject, folder, stages.computing("identify"))
 
     def diagnose(folder: Path) -> ModelDiagnosis:
         return diagnose_model(subject, stages.root / FIT / MODEL_FILE, folder, stages.computing("diagnose"))
 
     def make(folder: Path) -> ControllerFiles:
         noise = fitted.sensor_sigma_deg if math.isfinite(fitted.sensor_sigma_deg) else 0.0
-        return make_controllers(subject, model, noise, folder, stages.computing("tune"))
+        make_all = make_plane_controllers if of_plane else make_controllers
+        return make_all(subject, model, noise, folder, stages.computing("tune"))
 
     fitted = stages.complete(FIT, FittedModel, fit, _COMPUTING_S[FIT])
     model, diagnosed = stages.root / FIT / MODEL_FILE, None
@@ -302,12 +399,18 @@ def _reported(
     stages.say("report")
     root, used_s = stages.root, stages.used_s
     report = write_commission(root / REPORT_FILE, identified, range_words, used_s, tracks or {}, verified)
-    return Commissioned(root, root / TIP_FILE, identified.model, report, verified, used_s)
+    joined = identified.fitted.report if identified.subject.axes > 1 else ""
+    return Commissioned(root, root / TIP_FILE, identified.model, report, verified, used_s, joined)
 
 
 def _from_logs(files: Sequence[Path], settings: CommissionSettings | None) -> tuple[Subject, str]:
     """Subject of an identification from logs, and the origin of its limits in words."""
     trials = read_trials(files)
+    if both_axes(trials) is not None or (settings is not None and len(settings.axes_limits) > 1):
+        raise ConfigError(
+            "logs: got two axes, expected --logs and a bench of one axis; use `hystmpc fit auto LOGS --out model.yaml` "
+            "and write the file of a controller with the line `model: model.yaml`"
+        )
     low = min(float(trial.command.min()) for trial in trials)
     high = max(float(trial.command.max()) for trial in trials)
     rates = [np.abs(np.diff(trial.command)) / np.diff(trial.t) for trial in trials]

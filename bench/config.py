@@ -9,11 +9,13 @@ from typing import Annotated, Any, TypeVar
 from pydantic import Field, model_validator
 
 from hystmpc.models.load import model_path
+from hystmpc.rig.axes import PerAxis, each
 from hystmpc.rig.config import BenchSettings, located
-from hystmpc.trajectories.config import Motion, motion_in
-from hystmpc.trials.config import Count, FolderName, NotNegativeInt, Positive, Settings
+from hystmpc.rig.plane_config import PlaneBenchSettings, says_two_axes
+from hystmpc.trajectories.config import Motion, MotionInPlane, motion_in
+from hystmpc.trials.config import Count, FolderName, NotNegativeInt, Settings
 
-MOST_MINUTES = 5.0
+MOST_MINUTES, MOST_PLANE_MINUTES = 5.0, 10.0
 _STILL_MARGIN, _MOST_TRAVEL = 1.5, 0.9  # of the travel seen without motion, and of the range
 _MARGIN = 0.05  # of the sensor's range: distance of the default angle limits from its ends
 
@@ -39,6 +41,33 @@ class CommissionBlock(Settings):
     diagnose: bool = True
     tune_evaluations: Annotated[Count, Field(ge=24)] = 150
     seed: NotNegativeInt = 1
+
+
+class PlaneCommissionBlock(CommissionBlock):
+    """Block `commission` of a bench file of two axes; keys as of one axis.
+
+    Attributes:
+        minutes: of device time, all motions together [min]; twice as many as of one axis.
+        angle_limits_deg: of both angles [deg]; the sensor's range less 5 % at either end where left out.
+        range_steps: steps of the first climb of each axis, each with a rest.
+        motions: references in the plane of both angles; drawn within the reached angles where left out.
+        diagnose: false: two axes are diagnosed with `hystmpc diagnose`.
+        tune_evaluations: as of one axis.
+        seed: of everything random.
+    """
+
+    minutes: Annotated[float, Field(gt=0, le=MOST_PLANE_MINUTES)] = MOST_PLANE_MINUTES
+    motions: Mapping[FolderName, MotionInPlane] | None = Field(default=None, min_length=1)  # type: ignore[assignment]  # pyright: ignore[reportIncompatibleVariableOverride]  # settings are frozen
+    diagnose: bool = False
+
+    @model_validator(mode="after")
+    def _without_diagnosis(self) -> PlaneCommissionBlock:
+        if self.diagnose:
+            raise ValueError(
+                "got commission.diagnose true, expected false for two axes: afterwards use `hystmpc diagnose "
+                "OUT/2-record/trials --sim OUT/4-fit/model.yaml`"
+            )
+        return self
 
 
 class InvestigateBlock(Settings):
@@ -94,6 +123,21 @@ class CommissionSettings(BenchSettings):
         return low + _MARGIN * (high - low), high - _MARGIN * (high - low)
 
 
+class PlaneCommissionSettings(PlaneBenchSettings, CommissionSettings):  # pyright: ignore[reportIncompatibleVariableOverride]
+    """Settings of a whole bench file of two axes for `hystmpc commission`, with its block `commission`.
+
+    Attributes:
+        commission: what may be done.
+    """
+
+    commission: PlaneCommissionBlock = PlaneCommissionBlock()  # pyright: ignore[reportIncompatibleVariableOverride]
+
+
+def kind_of_commission(data: Any, folder: Path) -> type[CommissionSettings]:
+    """Settings that plain data of a bench are of: those of one axis, or of two."""
+    return PlaneCommissionSettings if says_two_axes(data, folder) else CommissionSettings
+
+
 class InvestigateSettings(CommissionSettings):
     """Settings in a bench file with the block `investigate`; of a block `commission` the angle limits count.
 
@@ -116,7 +160,7 @@ def located_commission(settings: C, folder: Path) -> C:
     """Settings with file names resolved against `folder`."""
     changes: dict[str, Any] = located(settings, folder)
     if (motions := settings.commission.motions) is not None:
-        absolute = {name: motion_in(folder, motion) for name, motion in motions.items()}
+        absolute = {name: motion_in(folder, motion) for name, motion in motions.items()}  # of two axes none is a file
         changes["commission"] = settings.commission.model_copy(update={"motions": absolute})
     return settings.model_copy(update=changes)
 
@@ -144,27 +188,30 @@ def located_investigation(
 
 
 def narrowed(
-    settings: BenchSettings, lower: float, upper: float, rate_per_s: Positive, still: float = 0.0
+    settings: BenchSettings, lower: PerAxis, upper: PerAxis, rate_per_s: PerAxis, still: float = 0.0
 ) -> BenchSettings:
-    """Settings of the bench with narrower limits of the command.
+    """Settings of the bench with narrower limits of the command, or of both commands.
 
     The overshoot of a stop stays as it was. The implausible travel without a motion of the tip is at most nine tenths
     of the narrower range, over all of which the tip has moved:
 
         travel = min(0.9 range, plausibility.travel, or where that is not given max(range / 2, 1.5 still))
 
-    with `still`, the longest travel in which the tip did not move.
+    with `still`, the longest travel in which the tip did not move. Of two axes the range is the smaller one in the
+    first term, and the greater one in the last.
 
     Raises:
         ConfigError: if the safe command lies outside.
     """
     plain = {name: getattr(settings, name) for name in BenchSettings.model_fields}
-    watch, ramps, span = settings.plausibility, settings.ramps, upper - lower
-    travel = min(watch.travel or max(watch.travel_of(span), _STILL_MARGIN * still), _MOST_TRAVEL * span)
+    spans = [high - low for low, high in zip(each(lower), each(upper), strict=True)]
+    watch, ramps = settings.plausibility, settings.ramps
+    widest = watch.travel or max(watch.travel_of(max(spans)), _STILL_MARGIN * still)
     changes: dict[str, Any] = {
         "limits": {"lower": lower, "upper": upper, "rate_per_s": rate_per_s},
-        "ramps": ramps.model_copy(update={"velocity_per_s": min(ramps.velocity_per_s, rate_per_s)}),
-        "plausibility": watch.model_copy(update={"travel": travel}),
+        "ramps": ramps.model_copy(update={"velocity_per_s": min(ramps.velocity_per_s, *each(rate_per_s))}),
+        "plausibility": watch.model_copy(update={"travel": min(widest, _MOST_TRAVEL * min(spans))}),
         "stop_overshoot": settings.overshoot,
     }
-    return BenchSettings.parse(plain | changes, f"{settings.name}: narrowed limits")
+    kind = PlaneBenchSettings if isinstance(settings, PlaneBenchSettings) else BenchSettings
+    return kind.parse(plain | changes, f"{settings.name}: narrowed limits")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,20 +15,24 @@ import numpy as np
 
 from hystmpc.ctrl.loop import Plant
 from hystmpc.ctrl.planner.settings import TipSettings
-from hystmpc.rig.axes import PerAxis, from_array
+from hystmpc.ctrl.two_axes.tip_controller import TwoAxisTipSettings
+from hystmpc.rig.axes import NAMES, PerAxis, columns, from_array, is_known, like
 from hystmpc.rig.config import BenchSettings, RunSettings
 from hystmpc.rig.experiment.experiment import tracking_phase
 from hystmpc.rig.experiment.phases import CommandMotion, Phase
+from hystmpc.rig.experiment.plane import plane_tracking
 from hystmpc.rig.experiment.record import Recorded
+from hystmpc.rig.plane_config import PlaneRunSettings
 from hystmpc.rig.realtime import SimulatedClock
 from hystmpc.rig.recording.recorder_process import Views, open_recorder_process
 from hystmpc.rig.recording.recording import RecordingMeta
 from hystmpc.rig.recording.sample import Sample, SampleList, Sink, Tee
 from hystmpc.rig.run import BenchResult, Note, run_bench
+from hystmpc.rig.safety.plausibility import AxesFrame
 from hystmpc.rig.safety.ramp import waypoint_commands
 from hystmpc.rig.transports.simulated import SimulatedSettings
 from hystmpc.rig.transports.transport import PlantFactory
-from hystmpc.trajectories.motion import MotionSettings
+from hystmpc.sim.results import distances
 from hystmpc.trials.csv_files import format_table
 from hystmpc.trials.errors import ConfigError, HystmpcError, LogError
 from hystmpc.trials.files import write_atomically
@@ -38,6 +43,7 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from .config import CommissionSettings
+from .motions import AnyMotion, shaken
 from .phases import Bounded
 
 TIME_FILE = "device_time.json"
@@ -58,7 +64,7 @@ class DeviceStoppedError(HystmpcError):
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Record of a tracked reference, one row for each sample (N,), without the lead-in."""
+    """Record of a tracked reference, one row for each sample, without the lead-in: (N,), of two axes (N, 2)."""
 
     t: Vec  # end of the sample since the reference's start [s]
     reference_deg: Vec  # wanted at the end of the sample
@@ -69,20 +75,29 @@ class Track:
 
     @property
     def error_deg(self) -> Vec:
-        """Tracking error: measured minus reference angle (N,) [deg]."""
-        return self.measured_deg - self.reference_deg
+        """Tracking error (N,) [deg]: measured minus reference angle; of two axes the distance in their plane."""
+        error = self.measured_deg - self.reference_deg
+        return error if error.ndim == 1 else distances(error)
+
+    @property
+    def angles_deg(self) -> Vec:
+        """Measured angles of every axis (N, A) [deg]."""
+        return self.measured_deg.reshape(len(self.t), -1)
+
+    @property
+    def commands(self) -> Vec:
+        """Command of every axis (N, A)."""
+        return self.command.reshape(len(self.t), -1)
 
     def save(self, path: Path) -> Path:
-        """Write the record as CSV, whole or not at all."""
-        columns: dict[str, Sequence[str] | Vec] = {
-            "time_s": self.t,
-            "reference_deg": self.reference_deg,
-            "angle_deg": self.measured_deg,
-            "command": self.command,
-            "source": self.source,
-            "late": np.array(self.late or [False] * len(self.source), dtype=np.float64),
-        }
-        return write_atomically(path, format_table(columns))
+        """Write the record as CSV, whole or not at all; two axes have `angle_x_deg`, `angle_y_deg` and so on."""
+        signals = {"reference_deg": self.reference_deg, "angle_deg": self.measured_deg, "command": self.command}
+        made: dict[str, Sequence[str] | Vec] = {"time_s": self.t}
+        for name, values in signals.items():
+            rows = values.reshape(len(self.t), -1).T
+            made |= dict(zip(columns(name, math.nan, len(rows)), rows, strict=True))
+        late = np.array(self.late or [False] * len(self.source), dtype=np.float64)
+        return write_atomically(path, format_table(made | {"source": self.source, "late": late}))
 
     @classmethod
     def load(cls, path: Path) -> Track:
@@ -94,9 +109,19 @@ class Track:
         table = read_table(read_lines(path), str(path))
         if "source" not in table.texts:
             raise LogError(f"{path}: got columns {', '.join(table.header)}, expected those of a tracked reference")
-        n = table.numbers
+        n, axes = table.numbers, 1 if "command" in table.numbers else len(NAMES)
+
+        def signal(name: str) -> Vec:
+            read = [n[column] for column in columns(name, math.nan, axes)]
+            return read[0] if axes == 1 else np.stack(read, axis=1)
+
         late = tuple(value > 0 for value in n["late"].tolist()) if "late" in n else ()  # tracks of earlier versions
-        return cls(n["time_s"], n["reference_deg"], n["angle_deg"], n["command"], table.texts["source"], late)
+        reference, angle, command = map(signal, ("reference_deg", "angle_deg", "command"))
+        return cls(n["time_s"], reference, angle, command, table.texts["source"], late)
+
+
+AnyTip = TipSettings | TwoAxisTipSettings
+"""Settings of a planner's controller, of one axis or of two."""
 
 
 class MovableDevice(Protocol):
@@ -117,14 +142,14 @@ class MovableDevice(Protocol):
         ...
 
     def play(self, name: str, commands: Vec, bench: BenchSettings) -> Trial:
-        """Play commands (N,) that start at the safe command, and record them.
+        """Play commands (N,), of two axes (N, 2), that start at the safe command, and record them.
 
         Raises:
             LogError: without any angle.
         """
         ...
 
-    def track(self, name: str, tip: TipSettings, reference: MotionSettings, bench: BenchSettings) -> Track:
+    def track(self, name: str, tip: AnyTip, reference: AnyMotion, bench: BenchSettings) -> Track:
         """Track a reference with a controller."""
         ...
 
@@ -168,31 +193,44 @@ class BenchDevice(MovableDevice):
         self.used_s = float(earlier_s) if isinstance(earlier_s, int | float) else 0.0
 
     def explore(self, name: str, phase: Phase, bench: BenchSettings) -> None:
-        self._perform(name, phase, bench)
+        self._perform(name, [phase], bench)
 
     def play(self, name: str, commands: Vec, bench: BenchSettings) -> Trial:
         recorded = Recorded(name.rpartition("/")[2], commands, bench.dt_s)
-        self._perform(name, Bounded(recorded, self._angle_limits, bench.sensor), bench)
+        phases = [self._bounded(recorded, bench)]
+        if len(bench.axes_limits) > 1:
+            phases.insert(0, self._bounded(CommandMotion("shake", lambda held: shaken(bench)), bench))
+        self._perform(name, phases, bench)
         trial = recorded.trial(bench.command_unit)
         if trial is None:
             raise LogError(f"{name}: got no angle, expected a recording")
         return trial
 
-    def track(self, name: str, tip: TipSettings, reference: MotionSettings, bench: BenchSettings) -> Track:
+    def track(self, name: str, tip: AnyTip, reference: AnyMotion, bench: BenchSettings) -> Track:
         plain = {key: getattr(bench, key) for key in BenchSettings.model_fields} | {"limits": bench.limits.model_dump()}
-        run = RunSettings.parse(plain | {"controller": tip, "reference": reference.model_dump()}, name)
-        phase = tracking_phase(run, threaded=self.in_real_time)
-        samples = self._perform(name, Bounded(phase, self._angle_limits, bench.sensor), bench)
+        plain |= {"controller": tip, "reference": reference.model_dump()}
+        frame: AxesFrame | None = None
+        if len(bench.axes_limits) > 1:
+            run = PlaneRunSettings.parse(plain, name)
+            phase, frame = plane_tracking(run, threaded=self.in_real_time)
+        else:
+            phase = tracking_phase(RunSettings.parse(plain, name), threaded=self.in_real_time)
+        samples = self._perform(name, [self._bounded(phase, bench)], bench, frame)
         return track_of(samples, reference.build().duration_s, bench.dt_s)
 
-    def _perform(self, name: str, phase: Phase, bench: BenchSettings) -> tuple[Sample, ...]:
-        """One run on the device: preparation, approach to the safe command, the phase, the way back."""
+    def _bounded(self, phase: Phase, bench: BenchSettings) -> Phase:
+        return Bounded(phase, self._angle_limits, bench.sensor, len(bench.axes_limits))
 
-        def approach(held: float) -> Vec:
+    def _perform(
+        self, name: str, wanted: Sequence[Phase], bench: BenchSettings, frame: AxesFrame | None = None
+    ) -> tuple[Sample, ...]:
+        """One run on the device: preparation, approach to the safe command, the phases, the way back."""
+
+        def approach(held: PerAxis) -> Vec:
             return waypoint_commands(held, [bench.safe_command], [bench.dt_s], bench.ramps, bench.dt_s)
 
         def phases() -> list[Phase]:
-            return [CommandMotion("approach", approach), phase]
+            return [CommandMotion("approach", approach), *wanted]
 
         kept, stage = SampleList(), name.partition("/")[0]
         settings = self._of_motion(name, stage, bench)
@@ -201,7 +239,7 @@ class BenchDevice(MovableDevice):
         def sink() -> Sink:
             if folder is None:
                 return kept
-            meta = RecordingMeta(settings.command_unit, stages=("total", "execution"))
+            meta = RecordingMeta(settings.command_unit, stages=("total", "execution"), axes=len(settings.axes_limits))
             rate, note = settings.rate_hz, self._note
             return Tee(kept, open_recorder_process(folder, settings, meta, rate, self._views, note, report=False))
 
@@ -210,7 +248,9 @@ class BenchDevice(MovableDevice):
         if self.in_real_time:
             Thread(target=self._tell, args=(kept, settings.dt_s, over), name="progress", daemon=True).start()
         try:
-            result = run_bench(settings, phases, sink, self._plants, folder=folder, note=self._note, clock=clock)
+            result = run_bench(
+                settings, phases, sink, self._plants, folder=folder, note=self._note, clock=clock, frame=frame
+            )
         finally:
             over.set()
             self.used_s += len(kept.samples) * settings.dt_s
@@ -258,7 +298,7 @@ def track_of(samples: Sequence[Sample], duration_s: float, dt_s: float) -> Track
         LogError: if nothing was tracked.
     """
     steps = round(duration_s / dt_s)
-    tracked = [k for k, sample in enumerate(samples[:-1]) if np.isfinite(sample.reference_deg)]
+    tracked = [k for k, sample in enumerate(samples[:-1]) if is_known(sample.reference_deg)]
     if not tracked:
         raise LogError("track: got a run without a tracked sample, expected a reference")
     first = samples[tracked[-1]].sequence - steps + 1
@@ -267,6 +307,7 @@ def track_of(samples: Sequence[Sample], duration_s: float, dt_s: float) -> Track
     after = [samples[k + 1] for k in counted]
     before = [samples[max(k - 1, 0)] for k in counted]
     measured = [b.measured_deg if b.sequence == a.sequence + 1 else np.nan for a, b in zip(rows, after, strict=True)]
+    measured = [like(row.command, angle) for row, angle in zip(rows, measured, strict=True)]
     return Track(
         t=dt_s * np.array([row.sequence - first + 1 for row in rows]),
         reference_deg=np.array([row.reference_deg for row in rows]),

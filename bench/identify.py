@@ -17,23 +17,28 @@ from hystmpc.ctrl.linear.analysis import DeviceModel
 from hystmpc.ctrl.linear.design import gains_by_margin
 from hystmpc.ctrl.planner.reach import angles_at_rest
 from hystmpc.ctrl.planner.settings import TipSettings, read_settings
+from hystmpc.ctrl.two_axes.tip_controller import read_two_axis_settings
 from hystmpc.gap.diagnose import diagnose_trials
 from hystmpc.gap.diagnosis import Diagnosis
 from hystmpc.gap.report.words import closed_sentence, headline, tracking_sentence
 from hystmpc.models.contract.metadata import DeviceLimits, Range
 from hystmpc.models.kinds.catalogue import chosen_kind
-from hystmpc.models.kinds.kind import FitRequest
+from hystmpc.models.kinds.kind import FitRequest, ModelKind
 from hystmpc.models.load import load_model
+from hystmpc.models.model import LoadedModel
 from hystmpc.models.prediction.build import controller_model
 from hystmpc.models.simulator import load_simulator, save_simulator
+from hystmpc.models.two_axes.model import has_two_axes
+from hystmpc.rig.axes import PerAxis, each
 from hystmpc.sim.config import SimulationConfig, TuningSettings
 from hystmpc.sim.plants.simulated import SimulatedPlant
+from hystmpc.sim.results import Limits
 from hystmpc.sim.study import Study, prepare
 from hystmpc.sim.tuning.gains import PidLike, PidTuning, mean_square_of, tuned_gains
-from hystmpc.trajectories.motion import MotionSettings
 from hystmpc.trajectories.point_to_point import PointToPoint
+from hystmpc.trials.axes import both_axes
 from hystmpc.trials.check import Severity, check
-from hystmpc.trials.config import dump_yaml
+from hystmpc.trials.config import dump_yaml, read_yaml
 from hystmpc.trials.errors import FitError, LogError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.read import at_rate
@@ -42,7 +47,8 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress, parts
 
 from .config import CommissionBlock, CommissionSettings
-from .motions import ReachedAngles, references
+from .device import AnyTip
+from .motions import AnyMotion, AnyReached, ReachedAngles, references
 from .stages import Figure
 
 MODEL_FILE, FIXED_FILE = "model.yaml", "model.fixed.yaml"
@@ -56,14 +62,30 @@ class Subject:
     name: str
     command_unit: str  # mm or bar
     rate_hz: float
-    limits: CommandLimits  # range and rate in use
-    safe_command: float  # rest of the device
+    limits: Limits  # range and rate in use; of two axes a pair
+    safe_command: PerAxis  # rest of the device
     angle_limits: tuple[float, float] | None  # of the tip [deg]; None for no limits
     trials: tuple[Path, ...]  # files of the recordings
     block: CommissionBlock
 
+    @property
+    def axes(self) -> int:
+        """Number of commands and angles."""
+        return len(each(self.limits))
 
-def subject_of(settings: CommissionSettings, limits: CommandLimits, trials: Iterable[Path]) -> Subject:
+    @property
+    def one_axis(self) -> CommandLimits:
+        """Limits of the command of a device of one axis.
+
+        Raises:
+            FitError: of two axes.
+        """
+        if isinstance(self.limits, tuple):
+            raise FitError(f"{self.name}: a device of two axes, expected one here")
+        return self.limits
+
+
+def subject_of(settings: CommissionSettings, limits: Limits, trials: Iterable[Path]) -> Subject:
     """Subject with these limits and recordings; all other data from the settings."""
     return Subject(
         name=settings.name,
@@ -101,15 +123,16 @@ def check_trials(subject: Subject) -> TrialCheck:
             if finding.severity is Severity.WARNING:
                 warnings.append(line)
     trials = uniform_trials(subject)
-    moved = max(float(np.ptp(trial.angle)) for trial in trials)
-    if all(np.ptp(trial.command) == 0 for trial in trials) or moved == 0:
+    moved = max(float(np.ptp(trial.angles, axis=0).max()) for trial in trials)
+    if all(np.ptp(trial.commands, axis=0).max() == 0 for trial in trials) or moved == 0:
         raise LogError("check: neither command nor angle moves, expected recordings of a motion")
     return TrialCheck(tuple(warnings), len(trials), sum(trial.duration_s for trial in trials))
 
 
 def uniform_trials(subject: Subject) -> list[Trial]:
-    """Recordings resampled to the rate of the device."""
-    return at_rate(recorded_trials(subject.trials), subject.rate_hz)
+    """Recordings resampled to the rate of the device, of two axes with both commands and angles."""
+    trials = at_rate(recorded_trials(subject.trials, most_axes=subject.axes), subject.rate_hz)
+    return trials if subject.axes == 1 else both_axes(trials) or trials
 
 
 Row = tuple[str, str, Figure, Figure]
@@ -127,6 +150,7 @@ class FittedModel:
     model_sigma_deg: Figure  # error of its free run [deg], NaN where unknown
     advice: tuple[str, ...]  # quantities that these trials do not determine, and what to record for them
     sensor_step_deg: Figure = 0.0  # resolution of the sensor [deg]; 0 for a continuous one
+    left_out_deg: Figure = math.nan  # error of two axes' free run on a motion left out, as a distance; NaN of one [deg]
 
 
 def fit_model(subject: Subject, folder: Path, progress: Progress) -> FittedModel:
@@ -136,9 +160,7 @@ def fit_model(subject: Subject, folder: Path, progress: Progress) -> FittedModel
         FitError: if it cannot be identified.
         KeyboardInterrupt: if the user ended it; nothing is kept.
     """
-    kind, limits = chosen_kind(_KIND, None, None), subject.limits
-    device = DeviceLimits(Range(lower=limits.lower, upper=limits.upper), limits.rate)
-    request = FitRequest(training=kind.usual_training(False), seed=subject.block.seed, limits=device)
+    kind, request = fit_request(subject, subject.one_axis)
     trials = uniform_trials(subject)
     kind.check(trials, request)
     total = kind.steps(request) or 100
@@ -158,6 +180,13 @@ def fit_model(subject: Subject, folder: Path, progress: Progress) -> FittedModel
         advice=parts.advice if parts else (),
         sensor_step_deg=0.0 if noise is None else noise.sensor_resolution_deg,
     )
+
+
+def fit_request(subject: Subject, limits: CommandLimits) -> tuple[ModelKind, FitRequest]:
+    """Kind of model of a commissioning, and the request of an axis with these limits."""
+    kind = chosen_kind(_KIND, None, None)
+    device = DeviceLimits(Range(lower=limits.lower, upper=limits.upper), limits.rate)
+    return kind, FitRequest(training=kind.usual_training(False), seed=subject.block.seed, limits=device)
 
 
 @dataclass(frozen=True)
@@ -216,7 +245,7 @@ def reached_angles(subject: Subject, model: Path) -> ReachedAngles:
     Raises:
         FitError: if nothing is left between them.
     """
-    known, limits = controller_model(str(model)), subject.limits
+    known, limits = controller_model(str(model)), subject.one_axis
     trained = known.facts.trained_angle
     rest = angles_at_rest(known.predictive[0], limits, trained.lower)
     allowed = subject.angle_limits or (-math.inf, math.inf)
@@ -241,7 +270,7 @@ _TOLERANCE_DEG, _TOLERANCE_SIGMAS = 0.5, 3.0
 class ControllerFiles:
     """Result of the stage that writes the controller files."""
 
-    reached: ReachedAngles  # range of angles for references
+    reached: AnyReached  # range of angles for references
     pid: Mapping[str, float]  # gains, tuned on the identified model with its noise
     pid_rmse_deg: Figure  # of the true angle on that model [deg]
     inverse_pid: Mapping[str, float]
@@ -275,12 +304,12 @@ def make_controllers(
     reached = reached_angles(subject, model)
     step = sensor_step_deg(model)
     study = tuning_study(subject, model, reached, sigma_deg, step)
-    whole = max(round(subject.block.tune_evaluations * min(1.0, _FULL_HZ / subject.rate_hz)), 24)
-    shares = {"pid": whole, "inverse_pid": max(whole // _INVERSE_SHARE, 24)}
+    shares = evaluations(subject)
+    known, limits = load_model(model, "conditioned"), subject.one_axis
     starts: dict[str, PidLike] = {
-        "pid": PidControllerSettings(gains=start_gains(model, subject.limits, PidSettings())),
+        "pid": PidControllerSettings(gains=start_gains(known, limits, PidSettings())),
         "inverse_pid": InversePidControllerSettings(
-            gains=start_gains(model, subject.limits, InversePidControllerSettings().gains)
+            gains=start_gains(known, limits, InversePidControllerSettings().gains)
         ),
     }
     tuned = dict[str, PidTuning]()
@@ -292,7 +321,7 @@ def make_controllers(
         config = study.config.model_copy(update={"tune_pid": TuningSettings(evaluations=shares[name])})
         tuned[name] = rounding_ignored(tuned_gains(replace(study, config=config), start, part), study, step)
     gains = {name: one.settings.gains.model_dump() for name, one in tuned.items()}
-    tolerance = max(_TOLERANCE_DEG, _TOLERANCE_SIGMAS * sigma_deg)
+    tolerance = target_tolerance_deg(sigma_deg)
     files: dict[Path, dict[str, Any]] = {
         folder / "pid.yaml": {"kind": "pid", "gains": gains["pid"]},
         folder / "inverse_pid.yaml": {"kind": "inverse_pid", "gains": gains["inverse_pid"]},
@@ -306,9 +335,15 @@ def make_controllers(
     )
 
 
-def start_gains(model: Path, limits: CommandLimits, given: PidSettings) -> PidSettings:
+def evaluations(subject: Subject) -> dict[str, int]:
+    """Closed-loop runs of the search of each controller's gains, about."""
+    whole = max(round(subject.block.tune_evaluations * min(1.0, _FULL_HZ / subject.rate_hz)), 24)
+    return {"pid": whole, "inverse_pid": max(whole // _INVERSE_SHARE, 24)}
+
+
+def start_gains(model: LoadedModel, limits: CommandLimits, given: PidSettings) -> PidSettings:
     """Gains of a phase margin of 60 deg around a model, to begin a search with; `given` where it has none."""
-    device = DeviceModel(load_model(model, "conditioned"), 0.0, 0, 0.5 * (limits.lower + limits.upper))
+    device = DeviceModel(model, 0.0, 0, 0.5 * (limits.lower + limits.upper))
     return attempt(lambda: gains_by_margin(device, limits, given))[0] or given
 
 
@@ -333,28 +368,40 @@ def write_tip(
     tolerance_deg: float,
 ) -> Path:
     """Write the file of a `TipController` with a block `controller`; the model's name is relative to it."""
-    limits = subject.limits
+    limits = subject.one_axis
     data = {
         "model": os.path.relpath(model, file.parent),
         "controller": {**controller, "ladder": {"safe_command": subject.safe_command}},
         "limits": {"lower": limits.lower, "upper": limits.upper, "rate_per_s": limits.rate},
         "motion": reached.motion.model_dump(),
         "start_command": subject.safe_command,
-        "tolerance_deg": float(f"{tolerance_deg:.3g}"),
+        "tolerance_deg": tolerance_deg,
     }
     TipSettings.parse(data, str(file))
     return write_atomically(file, dump_yaml(data))
 
 
-def tip_settings(file: Path) -> TipSettings:
-    """Settings in a file of a `TipController`; the model's file name becomes absolute."""
-    settings, folder = read_settings(file)
+def target_tolerance_deg(sigma_deg: float) -> float:
+    """How close to a target counts as settled with this noise of the sensor [deg]."""
+    return float(f"{max(_TOLERANCE_DEG, _TOLERANCE_SIGMAS * sigma_deg):.3g}")
+
+
+def tip_settings(file: Path) -> AnyTip:
+    """Settings in a file of a `TipController`, of one axis or of two; the model's file name becomes absolute."""
+    known = read_yaml(file)
+    two = isinstance(known, Mapping) and has_two_axes(file.parent / str(known.get("model")))
+    settings, folder = read_two_axis_settings(file) if two else read_settings(file)
     return settings.model_copy(update={"model": str((folder / settings.model).resolve())})
 
 
-def fresh_references(subject: Subject, reached: ReachedAngles, motion_s: float) -> dict[str, MotionSettings]:
+def fresh_references(subject: Subject, reached: AnyReached, motion_s: float) -> dict[str, AnyMotion]:
     """References for the verification, not used in identification and tuning; those of the user if given."""
     return references(reached, motion_s, (subject.block.seed, _FRESH), subject.block.motions)
+
+
+def tuning_references(subject: Subject, reached: AnyReached) -> dict[str, AnyMotion]:
+    """References for the search of gains."""
+    return references(reached, _TUNED_S, (subject.block.seed, _TUNING))
 
 
 def sensor_step_deg(model: Path) -> float:
@@ -382,9 +429,9 @@ def tuning_study(
 
     `sigma_deg` is the noise of the sensor, quantisation included, and `step_deg` its resolution [deg].
     """
-    limits = subject.limits
+    limits = subject.one_axis
     plant = SimulatedPlant(load_simulator(model), commands=Range(lower=limits.lower, upper=limits.upper))
-    motions = references(reached, _TUNED_S, (subject.block.seed, _TUNING))
+    motions = tuning_references(subject, reached)
     data: dict[str, Any] = {
         "plant": {
             "simulator": str(model),
@@ -401,7 +448,7 @@ def tuning_study(
     return prepare(SimulationConfig.parse(data, "tuning"))
 
 
-def _from_rest(motion: MotionSettings, rest_deg: float) -> MotionSettings:
+def _from_rest(motion: AnyMotion, rest_deg: float) -> AnyMotion:
     """Reference that begins at the rest angle of the device."""
     if isinstance(motion, PointToPoint):
         targets, holds = (motion.start_deg, *motion.targets_deg), (1.0, *motion.holds_s)

@@ -17,6 +17,10 @@ from hystmpc.gap.report.words import in_words, listed, percent
 from hystmpc.models.evaluate import evaluate
 from hystmpc.models.evaluation_report import free_run_figure
 from hystmpc.models.load import load_model
+from hystmpc.models.two_axes.evaluate import evaluate_two_axes
+from hystmpc.models.two_axes.model import load_two_axes
+from hystmpc.models.two_axes.report import joint_pieces
+from hystmpc.rig.axes import NAMES, each
 from hystmpc.trials.csv_files import read_csv
 from hystmpc.trials.recording import SEPARATION_COLUMN
 from hystmpc.trials.report import (
@@ -39,7 +43,7 @@ from hystmpc.trials.types import rms
 
 from .device import Track
 from .identify import TIP_FILE, IdentifiedDevice, Subject, uniform_trials
-from .motions import CONTROLLERS
+from .motions import CONTROLLERS, AnyReached, ReachedAngles
 from .round_plan import RoundPlan
 from .rounds import DIAGNOSIS, FIRST, Ending, Investigated, Round, round_folder
 from .verify import MPC, PID, TITLES, Tracks, Verification
@@ -94,29 +98,37 @@ def write_investigation(made: Investigated, name: str, command_unit: str) -> Pat
 def before_and_after(tracks: Tracks, unit: str) -> Figure:
     """Plot of angle, error and command [unit] of each controller over time, a column for each shown reference."""
     names = [name for name in SHOWN if name in tracks] or list(tracks)[:2]
-    with new_figure(9.0, 5.2) as figure:
-        grid = figure.subplots(3, len(names), sharex="col", height_ratios=(2, 1.3, 1.3), squeeze=False)
+    axes = tracks[names[0]][MPC].angles_deg.shape[1]
+    parts = ("",) if axes == 1 else tuple(f" {name}" for name in NAMES)
+    heights = [2.0] * axes + [1.3] * (1 + axes)
+    with new_figure(9.0, 5.2 if axes == 1 else 8.2) as figure:
+        grid = figure.subplots(len(heights), len(names), sharex="col", height_ratios=heights, squeeze=False)
         for column, name in zip(grid.T, names, strict=True):
             _column(column, name, tracks[name])
-        for axes, text in zip(grid[:, 0], ("tip angle [deg]", "error [deg]", f"command [{unit}]"), strict=True):
-            axes.set_ylabel(text)
+        angles, commands = [f"tip angle{p} [deg]" for p in parts], [f"command{p} [{unit}]" for p in parts]
+        for row, text in zip(grid[:, 0], (*angles, "error [deg]", *commands), strict=True):
+            row.set_ylabel(text)
         figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=4)
     return figure
 
 
 def _column(column: Sequence[Axes], name: str, runs: Mapping[str, Track]) -> None:
     """Draw one reference: angles, errors, commands."""
-    angle, error, command = column
     first = runs[MPC]
-    angle.plot(first.t, first.reference_deg, color=REFERENCE, lw=2.5, label="reference")
+    axes = first.angles_deg.shape[1]
+    angles, error, commands = column[:axes], column[axes], column[axes + 1 :]
+    for row, reference in zip(angles, first.reference_deg.reshape(len(first.t), -1).T, strict=True):
+        row.plot(first.t, reference, color=REFERENCE, lw=2.5, label="reference")
     for controller in reversed(CONTROLLERS):
         run, look = runs[controller], {"color": _COLOURS[controller], "linestyle": _DASH[controller]}
-        angle.plot(run.t, run.measured_deg, lw=1.0, **look, label=TITLES[controller])
+        for row, angle in zip(angles, run.angles_deg.T, strict=True):
+            row.plot(run.t, angle, lw=1.0, **look, label=TITLES[controller])
         error.plot(run.t, run.error_deg, lw=0.9, **look, label=f"{rms(run.error_deg):.2f} deg RMS")
-        command.plot(run.t, run.command, lw=0.9, **look)
-    angle.set_title(name.replace("_", " "))
+        for row, command in zip(commands, run.commands.T, strict=True):
+            row.plot(run.t, command, lw=0.9, **look)
+    angles[0].set_title(name.replace("_", " "))
     error.legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)
-    command.set_xlabel("time [s]")
+    commands[-1].set_xlabel("time [s]")
 
 
 def _verdict(tracks: Tracks, verified: Verification | None, unit: str) -> Iterator[Piece]:
@@ -141,27 +153,39 @@ def _verdict(tracks: Tracks, verified: Verification | None, unit: str) -> Iterat
 
 def _controller(identified: IdentifiedDevice) -> Iterator[Piece]:
     subject, made = identified.subject, identified.made
-    limits, motion = subject.limits, made.reached.motion
+    motion = made.reached.motion
     corrected = identified.diagnosed is not None and identified.diagnosed.corrected
     yield Heading("Controller")
     yield KeyValues(
         {
             "file": TIP_FILE,
             "model": identified.model.name + (" (corrected by the diagnosis)" if corrected else ""),
-            f"command [{subject.command_unit}]": f"{limits.lower:g} to {limits.upper:g} at {limits.rate:g} per s",
-            "angles for references [deg]": f"{made.reached.low_deg:.1f} to {made.reached.high_deg:.1f}",
+            **_ranges(subject, made.reached),
             "motion of targets": f"{motion.velocity_deg_s:g} deg/s, {motion.acceleration_deg_s2:g} deg/s^2",
             "PID, tuned on the model": _gains(made.pid, made.pid_rmse_deg),
             "inverse with PID, tuned on it": _gains(made.inverse_pid, made.inverse_pid_rmse_deg),
         }
     )
+    if isinstance(subject.limits, tuple):  # the analysis of loops is of one axis
+        return
     loops: dict[str, AnyControllerSettings] = {
         "PID": PidControllerSettings.parse({"gains": dict(made.pid)}),
         "inverse with PID": InversePidControllerSettings.parse({"gains": dict(made.inverse_pid)}),
     }
     model = load_model(identified.model, "conditioned")
     yield Heading("Loops around the model")
-    yield from loops_of(model, identified.model.name, loops, limits).summary()
+    yield from loops_of(model, identified.model.name, loops, subject.limits).summary()
+
+
+def _ranges(subject: Subject, reached: AnyReached) -> dict[str, object]:
+    """Ranges of commands and angles, by their names."""
+    limits, angles = each(subject.limits), (reached,) if isinstance(reached, ReachedAngles) else (reached.x, reached.y)
+    parts = ("",) if len(limits) == 1 else tuple(f" {name}" for name in NAMES)
+    rows: dict[str, object] = {}
+    for part, one, seen in zip(parts, limits, angles, strict=True):
+        rows[f"command{part} [{subject.command_unit}]"] = f"{one.lower:g} to {one.upper:g} at {one.rate:g} per s"
+        rows[f"angles{part} for references [deg]"] = f"{seen.low_deg:.1f} to {seen.high_deg:.1f}"
+    return rows
 
 
 def _scores(verified: Verification) -> Table:
@@ -184,7 +208,8 @@ def _scores(verified: Verification) -> Table:
     return Table(
         columns,
         rows,
-        f"Measured less wanted angle [deg]. The sensor's noise, {verified.sensor_sigma_deg:.3f} deg, is in all of "
+        "Measured less wanted angle [deg], of two axes the distance in their plane. "
+        f"The sensor's noise, {verified.sensor_sigma_deg:.3f} deg, is in all of "
         "them. Rest: share of the settled samples of holds in which the command did not move. Late: samples without "
         "time for the controller, as a deadline was missed.",
     )
@@ -200,6 +225,8 @@ def _device(identified: IdentifiedDevice, range_words: str, used_s: float) -> It
         **({"steps of its readings [deg]": fitted.sensor_step_deg} if fitted.sensor_step_deg else {}),
         "model's free run is off by [deg]": fitted.model_sigma_deg,
     }
+    if math.isfinite(fitted.left_out_deg):
+        facts["on the motion left out by [deg]"] = fitted.left_out_deg
     if used_s:
         facts["device time"] = f"{used_s / 60:.1f} min, motions that were cut short included"
     yield KeyValues(facts)
@@ -209,6 +236,8 @@ def _device(identified: IdentifiedDevice, range_words: str, used_s: float) -> It
         yield Table(("number", "value", "from", "to"), fitted.numbers, "Identified numbers, intervals of 90 %.")
     for line in (*fitted.advice, *checked.warnings):
         yield Paragraph(line)
+    if identified.subject.axes > 1:
+        yield from joint_pieces(load_two_axes(identified.model))
     figure = _free_run(identified.subject, identified.model)
     yield Plot(figure, "Free run of the model beside the recording, worst trial.", True)
     if diagnosed is not None:
@@ -220,8 +249,13 @@ def _device(identified: IdentifiedDevice, range_words: str, used_s: float) -> It
 
 
 def _free_run(subject: Subject, model: Path) -> Figure:
-    opened = load_model(model)
-    runs = [evaluate(opened, trial, False) for trial in uniform_trials(subject)]
+    trials = uniform_trials(subject)
+    if subject.axes > 1:
+        both = load_two_axes(model)
+        runs = [evaluate_two_axes(both, trial) for trial in trials]
+    else:
+        opened = load_model(model)
+        runs = [evaluate(opened, trial, False) for trial in trials]
     return free_run_figure([max(runs, key=lambda run: run.errors.rmse_deg)])
 
 

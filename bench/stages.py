@@ -9,14 +9,16 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, final
 
-from pydantic import BeforeValidator, TypeAdapter
+from pydantic import BeforeValidator, PlainSerializer, PlainValidator, TypeAdapter
 
+from hystmpc.rig.axes import PerAxis, together, trial_columns
 from hystmpc.rig.config import BenchSettings
-from hystmpc.trials.csv_files import write_csv
+from hystmpc.trials.csv_files import format_table, write_csv
 from hystmpc.trials.errors import ConfigError, HystmpcError, LogError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.json_text import canonical, file_text, json_hash, plain
 from hystmpc.trials.run_folder import alone_in, require_vacant, resumed_folder
+from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress, Vec
 
 from .device import DeviceStoppedError, MovableDevice, Open
@@ -28,6 +30,15 @@ _COMPUTED = 0.05  # seconds that a computed device takes for one of device time,
 
 Figure = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
 """A number, NaN where JSON has null."""
+
+
+def _per_axis(value: Any) -> PerAxis:
+    values = value if isinstance(value, list | tuple) else [value]
+    return together(math.nan if one is None else float(one) for one in values)
+
+
+AxisFigures = Annotated[PerAxis, PlainValidator(_per_axis), PlainSerializer(lambda value: value, return_type=Any)]
+"""A number of one axis, or a pair of two axes; NaN where JSON has null."""
 
 R = TypeVar("R")
 
@@ -129,9 +140,9 @@ class Stages:
         return result
 
     def record(self, runs: Mapping[str, Vec], bench: BenchSettings, folder: Path, limited: bool = False) -> list[str]:
-        """Play commands (N,) and write each recording into `folder/trials`; return the recordings' names in order.
+        """Play commands and write each recording into `folder/trials`; return the recordings' names in order.
 
-        Existing recordings are kept.
+        Commands are (N,), of two axes (N, 2). Existing recordings are kept.
 
         Args:
             limited: whether a motion that might not end within the device time is left out, with those after it.
@@ -145,12 +156,12 @@ class Stages:
             file = folder / "trials" / f"{name}.csv"
             if not file.exists():
                 prepare_s = 0.0 if part == self._prepared else prepare_seconds(bench)
-                if limited and run_seconds(bench, commands.size) + prepare_s > self.left_s:
+                if limited and run_seconds(bench, len(commands)) + prepare_s > self.left_s:
                     break
                 self.say(f"{part}: {name}")
                 trial = self.device.play(f"{part}/{name}", commands, bench)
                 self._prepared = part
-                write_csv(trial, file)
+                write_recording(trial, file)
             names.append(name)
         if not names:
             raise LogError(
@@ -183,6 +194,14 @@ class Stages:
 
         report(0, 1)
         return report
+
+
+def write_recording(trial: Trial, file: Path) -> Path:
+    """Write a trial of one axis or of two as CSV, whole or not at all."""
+    if trial.commands.shape[1] == 1:
+        return write_csv(trial, file)
+    columns = trial_columns(trial.t, trial.commands, trial.angles, trial.units.command)
+    return write_atomically(file, format_table(columns))
 
 
 @contextmanager

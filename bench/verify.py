@@ -9,17 +9,17 @@ from pathlib import Path
 
 import numpy as np
 
-from hystmpc.ctrl.command import CommandLimits, Source
+from hystmpc.ctrl.command import Source
 from hystmpc.models.identify.estimation_noise import resolution
+from hystmpc.rig.axes import each
 from hystmpc.rig.config import BenchSettings
-from hystmpc.sim.results import holds, violations
-from hystmpc.trajectories.motion import MotionSettings
+from hystmpc.sim.results import Limits, holds, violations
 from hystmpc.trials.brief import brief
 from hystmpc.trials.types import Vec, rms
 
 from .device import MovableDevice, Track
 from .identify import TIP_FILE, tip_settings
-from .motions import CONTROLLERS
+from .motions import CONTROLLERS, AnyMotion
 from .stages import Figure
 
 TITLES = {"mpc": "linearised MPC", "inverse": "inverse alone", "pid": "PID, tuned on the model"}
@@ -69,7 +69,7 @@ class Verification:
 
 def track_all(
     device: MovableDevice,
-    motions: Mapping[str, MotionSettings],
+    motions: Mapping[str, AnyMotion],
     bench: BenchSettings,
     folder: Path,
     say: Callable[[str], None],
@@ -104,14 +104,14 @@ def load_tracks(folder: Path) -> Tracks:
     return tracks
 
 
-def judge_tracks(
-    tracks: Tracks, limits: CommandLimits, dt_s: float, sigma_deg: float, model_sigma_deg: float
-) -> Verification:
+def judge_tracks(tracks: Tracks, limits: Limits, dt_s: float, sigma_deg: float, model_sigma_deg: float) -> Verification:
     """Compare the controllers: scores, and whether the predictive one is better than the PID.
 
     Square errors are compared in blocks of one second of the same reference: verified is a mean difference of more than
     two standard errors and 5 %. The errors contain the noise and quantisation of the sensor, equal for all. Where
     deadlines were missed, fallbacks are compared, and the controllers are not judged.
+
+    Of two axes every error is the distance in the plane of both angles.
 
     `sigma_deg` is the noise of the sensor, `model_sigma_deg` the error of the model's free run [deg].
     """
@@ -121,8 +121,9 @@ def judge_tracks(
     mean = float(np.mean(gains)) if gains.size else 0.0
     error = float(np.std(gains, ddof=1)) / math.sqrt(gains.size) if gains.size > 1 else math.inf
     verified = mean > _ERRORS * error and mean > _LEAST_GAIN * pid.rms_deg**2
-    step = resolution([t.measured_deg[np.isfinite(t.measured_deg)] for runs in tracks.values() for t in runs.values()])
-    rounding = step / math.sqrt(12.0)
+    seen = [a for runs in tracks.values() for t in runs.values() for a in t.angles_deg.T]
+    step = resolution([angles[np.isfinite(angles)] for angles in seen])
+    rounding = step * math.sqrt(len(each(limits)) / 12.0)
     sigma_deg = max(sigma_deg, rounding)
     figures = (
         f"RMS of measured less wanted angle {mpc.rms_deg:.3f} deg, PID {pid.rms_deg:.3f} deg, inverse alone "
@@ -164,12 +165,13 @@ def _verified_steps(scores: Mapping[str, ControllerScore]) -> tuple[str, ...]:
     return tuple(steps)
 
 
-def _scored(tracks: Mapping[str, Track], limits: CommandLimits, dt_s: float) -> ControllerScore:
+def _scored(tracks: Mapping[str, Track], limits: Limits, dt_s: float) -> ControllerScore:
     errors = {name: track.error_deg[np.isfinite(track.error_deg)] for name, track in tracks.items()}
     pooled = np.concatenate(list(errors.values()))
     held = resting = samples = fallbacks = beyond = late = skipped = 0
     for track in tracks.values():
-        still = np.abs(np.diff(track.command, prepend=track.command[0])) <= _AT_REST * (limits.upper - limits.lower)
+        moves = np.abs(np.diff(track.commands, axis=0, prepend=track.commands[:1]))
+        still = np.all(moves <= [_AT_REST * (one.upper - one.lower) for one in each(limits)], axis=1)
         for start, stop in holds(track.reference_deg, dt_s):
             part = still[start + round(_SETTLED_S / dt_s) : max(stop - 1, 0)]
             held, resting = held + part.size, resting + int(np.sum(part))
@@ -177,7 +179,7 @@ def _scored(tracks: Mapping[str, Track], limits: CommandLimits, dt_s: float) -> 
         fallbacks += sum(source not in _DECIDED for source in track.source)
         late += sum(a and b not in _DECIDED for a, b in zip(track.late, track.source, strict=False))
         skipped += round((track.t[-1] - track.t[0]) / dt_s) + 1 - len(track.source)
-        beyond += violations(track.command, float(track.command[0]), limits, dt_s)
+        beyond += violations(track.command, track.command[0], limits, dt_s)
     return ControllerScore(
         rms_deg=rms(pooled),
         by_motion={name: rms(error) for name, error in errors.items()},

@@ -200,8 +200,9 @@ def _exit(result: BenchResult) -> None:
 def commission(call: Call, dry_run: DryRun = False) -> None:
     """Find safe range and rate, record, identify, make a controller, verify it, report.
 
-    The device moves for five minutes at most. Ctrl-C keeps the completed parts; the same command continues. Exit code 3
-    after a safe stop, 1 if a stage could not be completed, 130 if Ctrl-C ended a computation.
+    The device moves for five minutes at most, one of two axes for ten. Ctrl-C keeps the completed parts; the same
+    command continues. Exit code 3 after a safe stop, 1 if a stage could not be completed, 130 if Ctrl-C ended a
+    computation.
     """
     from hystmpc.tasks.device import commission_plan
 
@@ -212,6 +213,8 @@ def commission(call: Call, dry_run: DryRun = False) -> None:
     kept = f"interrupted: complete stages are kept in {call.out}, the same command goes on"
     with _stages_kept(call.out):
         made: Commissioned = call.run("commission", kept=kept)
+    if made.joined:
+        line(f"model: {made.joined}")
     verified = made.verified
     if verified is None:
         line("made from logs alone: nothing was verified")

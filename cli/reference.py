@@ -39,6 +39,10 @@ FILES: Mapping[str, tuple[str, str]] = MappingProxyType(
             "recordings of two axes, of `hystmpc record`",
         ),
         "commission": ("hystmpc.bench.config:CommissionSettings", "a device of `hystmpc commission`"),
+        "commission-two-axes": (
+            "hystmpc.bench.config:PlaneCommissionSettings",
+            "a device of two axes, of `hystmpc commission`",
+        ),
         "investigate": ("hystmpc.bench.config:InvestigateSettings", "a device of `hystmpc investigate`"),
         "device": ("hystmpc.rig.device:DeviceSettings", "a simulated device of `hystmpc device`"),
         "device-two-axes": (

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from pydantic import Field, model_validator
 
 from hystmpc.ctrl.command import CommandLimits
-from hystmpc.trials.config import Positive, Settings
+from hystmpc.trials.config import OfBothAxes, Positive, Settings
 from hystmpc.trials.layouts import CANONICAL, command_column
 from hystmpc.trials.types import Vec
 
@@ -110,9 +110,9 @@ class PlaneLimitsSettings(Settings):
         rate_per_s: greatest change of each command [mm/s or bar/s].
     """
 
-    lower: tuple[float, float]
-    upper: tuple[float, float]
-    rate_per_s: tuple[Positive, Positive]
+    lower: Annotated[tuple[float, float], OfBothAxes]
+    upper: Annotated[tuple[float, float], OfBothAxes]
+    rate_per_s: Annotated[tuple[Positive, Positive], OfBothAxes]
 
     @model_validator(mode="after")
     def _ordered(self) -> PlaneLimitsSettings:

@@ -13,7 +13,7 @@ from hystmpc.ctrl.two_axes.tip_controller import TwoAxisTipSettings
 from hystmpc.models.load import model_path
 from hystmpc.models.two_axes.model import has_two_axes
 from hystmpc.trajectories.config import MotionInPlane
-from hystmpc.trials.config import Settings, load_settings, read_yaml
+from hystmpc.trials.config import OfBothAxes, Settings, load_settings, read_yaml
 from hystmpc.trials.errors import ConfigError
 
 from .axes import ModelledPlaneLimitsSettings, PlaneLimitsSettings, together
@@ -24,7 +24,7 @@ from .safety.ramp import RampSettings, ramp_commands
 from .transports.simulated import SimulatedSettings
 from .transports.transport import PlaneWireUnits
 
-Both = tuple[float, float]
+Both = Annotated[tuple[float, float], OfBothAxes]
 _TRANSPORTS = ("udp", "simulated")
 
 

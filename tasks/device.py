@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hystmpc.trials.config import read_yaml
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Progress
 
@@ -48,8 +49,8 @@ def commission(
 ) -> Commissioned:
     """Commission a device: safe range, recordings, model, controller, verification, report.
 
-    The device moves for five minutes at most, in real time; one of `kind: simulated` is computed faster. The same call
-    goes on after the last complete stage.
+    The device moves for five minutes at most, one of two axes for ten, in real time; one of `kind: simulated` is
+    computed faster. The same call goes on after the last complete stage.
 
     Args:
         config: a bench with the block `commission`: a YAML file or a mapping; may be None with logs.
@@ -172,12 +173,19 @@ def investigation_plan(
 
 
 def _planned(settings: CommissionSettings, rows: Iterable[tuple[str, str, float]]) -> DevicePlan:
+    from hystmpc.rig.axes import in_words, together
+
     where = "computed, faster than time" if settings.transport.in_process else settings.transport.place
-    limits, unit, (low, high) = settings.limits, settings.command_unit, settings.angle_limits
-    text = (
-        f"limits: command {limits.lower:g} to {limits.upper:g} {unit} at {limits.rate_per_s:g} {unit}/s, angle {low:g} "
-        f"to {high:g} deg; every motion starts and ends at {settings.safe_command:g} {unit}"
+    limits, unit, (low, high) = settings.axes_limits, settings.command_unit, settings.angle_limits
+    lower, upper, rate = (
+        in_words(together(getattr(one, name) for one in limits), "g") for name in ("lower", "upper", "rate")
     )
+    text = (
+        f"limits: command {lower} to {upper} {unit} at {rate} {unit}/s, angle {low:g} "
+        f"to {high:g} deg; every motion starts and ends at {in_words(settings.safe_command, 'g')} {unit}"
+    )
+    if len(limits) > 1:
+        text += "; not done for two axes: a diagnosis, see `hystmpc diagnose`; a watch on forces; drift over hours"
     return DevicePlan(f"{settings.name} ({where}): minutes of device time", tuple(rows), text)
 
 
@@ -199,15 +207,29 @@ def _folder_of(config: Settings) -> Path:
 
 
 def _commissioning(config: Settings, overrides: Iterable[str]) -> CommissionSettings:
-    from hystmpc.bench.config import CommissionSettings, located_commission
+    from hystmpc.bench.config import kind_of_commission, located_commission
 
-    return located_commission(settings_of(CommissionSettings, config, overrides), _folder_of(config))
+    folder = _folder_of(config)
+    kind = kind_of_commission(_plain(config), folder)
+    return located_commission(settings_of(kind, config, overrides), folder)
+
+
+def _plain(config: Settings) -> object:
+    """Plain data of a bench; what cannot be read is none, and is refused by whoever reads it next."""
+    try:
+        return read_yaml(config) if isinstance(config, Path | str) else config
+    except ConfigError:
+        return None
 
 
 def _investigation(
     config: Settings, overrides: Iterable[str], model: Path | str | None, minutes: float | None
 ) -> InvestigateSettings:
-    from hystmpc.bench.config import InvestigateSettings, located_investigation
+    from hystmpc.bench.config import CommissionSettings, InvestigateSettings, kind_of_commission, located_investigation
 
+    if kind_of_commission(_plain(config), _folder_of(config)) is not CommissionSettings:
+        raise ConfigError(
+            "investigate: got a bench of two axes, expected one axis; use `hystmpc record` and `hystmpc diagnose`"
+        )
     settings = settings_of(InvestigateSettings, config, overrides)
     return located_investigation(settings, _folder_of(config), model, minutes)

@@ -10,13 +10,12 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BeforeValidator, Field
 
-from hystmpc.trials.config import NotNegative, Positive
+from hystmpc.trials.config import NotNegative, OfBothAxes, Positive
 from hystmpc.trials.errors import ConfigError, did_you_mean
 
 from .motion import MotionLimits, MotionSettings, TrajectorySettings
 from .plane import (
     PlaneMotion,
-    Point,
     circle,
     lissajous,
     raster,
@@ -46,6 +45,7 @@ class SampledSettings(MotionSettings):
         return read_sampled(Path(folder) / self.file)
 
 
+Point = Annotated[tuple[float, float], OfBothAxes]
 AnyMotion = PointToPoint | RandomPointToPointSettings | SinusoidScan | TriangleScan | Raster | SampledSettings
 MOTIONS: Mapping[str, type[AnyMotion]] = {kind.model_fields["kind"].default: kind for kind in get_args(AnyMotion)}
 """Every kind of motion that a configuration can name."""
@@ -127,7 +127,7 @@ class LissajousSettings(PlaneMotionSettings):
 
     kind: Literal["lissajous"] = "lissajous"
     centre: Point
-    sizes: tuple[Positive, Positive]
+    sizes: Annotated[tuple[Positive, Positive], OfBothAxes]
     ratio: tuple[int, int] = (3, 2)
     period_s: Positive
     turns: Positive = 1.0

@@ -19,7 +19,17 @@ from hystmpc.trials.config import Count, NotNegative, Positive
 from hystmpc.trials.errors import TrajectoryError, did_you_mean
 from hystmpc.trials.types import Vec
 
-from .motion import Bounds, NotNegativeBounds, PathMotion, PiecewiseCubic, TrajectorySettings, hold, ramp
+from .motion import (
+    Bounds,
+    MotionLimits,
+    NotNegativeBounds,
+    PathMotion,
+    PiecewiseCubic,
+    TrajectorySettings,
+    hold,
+    ramp,
+)
+from .plane import PlaneMotion, raster, spiral
 from .trajectory import Trajectory, inside, require_positive
 
 
@@ -280,3 +290,69 @@ class _Cut:
 
 def _cut(whole: Trajectory, longest_s: float) -> Trajectory:
     return _Cut(whole, min(longest_s, whole.duration_s))
+
+
+Pair = tuple[float, float]
+
+PLANE_WHOLE_S = 150.0
+"""Time that all motions of both axes at once take together at full length [s]."""
+
+LEFT_OUT = "left_out"
+"""Name of the motion of both axes that a check of the model uses and its identification does not."""
+
+_MIDDLE, _REACH = 0.5, 0.46  # of the strokes: centre and radius of circles
+_ROWS = 8  # of a raster at full length
+
+
+def plane_identification_motions(
+    strokes: Pair, rates: Pair, random: np.random.Generator, share: float = 1.0
+) -> Iterator[tuple[str, PlaneMotion]]:
+    """Return commands of both axes (..., 2) from 0 to `strokes` by name, which determine what joins two axes.
+
+    Circles that grow; fast rows along x and slow ones along y; reversals of both at random, at speeds of their own; at
+    last `left_out`, ramps and holds of both at random.
+
+    Args:
+        strokes: greatest command of x and of y [mm or bar].
+        rates: greatest change of each command per second.
+        random: random generator of targets, speeds and holds.
+        share: of the full length, see `PLANE_WHOLE_S`.
+
+    Raises:
+        TrajectoryError: if a number is not positive.
+    """
+    for stroke, rate in zip(strokes, rates, strict=True):
+        require_positive(stroke=stroke, rate=rate)
+    speed = min(rate / stroke for rate, stroke in zip(rates, strokes, strict=True))  # strokes per second
+
+    def sized(motion: PlaneMotion, longest_s: float, turned: bool = False) -> PlaneMotion:
+        """Beginning of a motion in the unit square, as commands; with its axes exchanged where `turned`."""
+        order = -1 if turned else 1
+        return PlaneMotion(
+            lambda t: np.asarray(strokes) * motion.function(t)[..., ::order], min(motion.duration_s, longest_s)
+        )
+
+    def drawn(rate_shares: Pair, holds_s: Pair, longest_s: float) -> PlaneMotion:
+        """Ramps and holds of each axis, drawn apart."""
+        x, y = (
+            RampHoldDraw(
+                moves=200,
+                targets=(_INNER * stroke, _OUTER * stroke),
+                rates=(rate_shares[0] * rate, rate_shares[1] * rate),
+                holds_s=holds_s,
+                steps=(0.05 * stroke, 0.6 * stroke),
+            )(random)
+            for stroke, rate in zip(strokes, rates, strict=True)
+        )
+        return PlaneMotion(lambda t: np.stack([x(t), y(t)], axis=-1), longest_s)
+
+    centre, period_s = (_MIDDLE, _MIDDLE), 2 * math.pi * _REACH / (0.5 * speed)
+    yield "circles", sized(spiral(centre, _REACH, period_s, max(round(30 * share / period_s), 2)), 30.0 * share)
+    for name, share_of_rate, turned in (("rows_x", 0.6, False), ("rows_y", 0.25, True)):
+        limits = MotionLimits(
+            velocity_deg_s=share_of_rate * speed, acceleration_deg_s2=10 * speed, jerk_deg_s3=200 * speed
+        )
+        rows = raster((_INNER, _INNER), (_OUTER, _OUTER), max(round(_ROWS * share), 3), limits=limits)
+        yield name, sized(rows, 25.0 * share, turned)
+    yield "reversals_xy", drawn((0.05, 0.6), (0.0, 0.2), 40.0 * share)
+    yield LEFT_OUT, drawn((0.1, 0.8), (0.0, 1.0), max(30.0 * share, 8.0))

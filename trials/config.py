@@ -14,7 +14,15 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self, TypeVar, cast
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    ValidationError,
+    model_validator,
+)
 from pydantic_core.core_schema import CoreSchema, no_info_before_validator_function
 
 from .errors import ConfigError, did_you_mean, shown
@@ -320,11 +328,21 @@ class Settings(BaseModel):
             inner = getattr(cause, "at", ())
             path = ".".join(str(p) for p in first["loc"]) or "top level"
             more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-            text = str(first["msg"]).removeprefix("Value error, ")
+            plain = "expected a list, such as [1, 2]" if first["type"] == "tuple_type" else str(first["msg"])
+            text = plain.removeprefix("Value error, ")
             got = "" if isinstance(first["input"], dict) else f", got {shown(first['input'])}"
             place = where if isinstance(where, str) else where((*first["loc"], *inner))
             raise ConfigError(" ".join(f"{place}: {path}: {text}{got}{more}".split())) from None
 
+
+def _two_numbers(value: Any) -> Any:
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        raise ValueError("expected a list [x, y], a number for each axis")
+    return value
+
+
+OfBothAxes = BeforeValidator(_two_numbers)
+"""Of a field of two axes, in `Annotated[tuple[float, float], OfBothAxes]`: what is no pair is refused as such."""
 
 S = TypeVar("S", bound=Settings)
 

@@ -22,6 +22,7 @@ from .layouts import (
     HEADER_TIME,
     LOG_TIME,
     OUTPUT_COLUMN,
+    TWO_AXES,
     LogMapping,
     SignalSettings,
     TipSignals,
@@ -186,7 +187,7 @@ def _shifted(series: Series, shift_s: float) -> Series:
 
 
 def canonical_mapping(names: Sequence[str], path: str, clock: str = "") -> LogMapping:
-    """Mapping of a log whose signals have the names of canonical columns.
+    """Mapping of a log whose signals have the names of canonical columns, or of those of two axes.
 
     Args:
         clock: substitute for a missing `time_s`: a signal of times, or `log`; empty for none.
@@ -194,7 +195,8 @@ def canonical_mapping(names: Sequence[str], path: str, clock: str = "") -> LogMa
     Raises:
         LogError: if names are missing; lists the available ones and the remedy.
     """
-    commands, outputs = CANONICAL.command, {column: unit for unit, column in OUTPUT_COLUMN.items()}
+    commands = {**CANONICAL.command, **TWO_AXES.command}
+    outputs = {column: unit for unit, column in OUTPUT_COLUMN.items()} | {TWO_AXES.angle: "deg"}
     ends = {CANONICAL.spelled([name.rpartition(".")[2]])[0]: name for name in reversed(names)}
     command, angle = (next((name for name in known if name in ends), None) for known in (commands, outputs))
     if command is None or angle is None or ("time_s" not in ends and not clock):

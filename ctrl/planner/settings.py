@@ -58,7 +58,8 @@ def read_settings(source: Path | str | Mapping[str, Any] | TipSettings) -> tuple
     """Read the settings, and return the folder of their relative file names: the file's, else the present one.
 
     Raises:
-        ConfigError: on an unreadable file, an unknown key (with the nearest right one), or a value out of bounds.
+        ConfigError: on an unreadable file, a model in place of settings, an unknown key (with the nearest right one),
+            or a value out of bounds.
     """
     if isinstance(source, TipSettings):
         return source, Path()
@@ -66,9 +67,14 @@ def read_settings(source: Path | str | Mapping[str, Any] | TipSettings) -> tuple
         return TipSettings.parse(dict(source)), Path()
     if not isinstance(source, str | Path):
         raise ConfigError(f"tip: got {shown(source)}, expected a YAML file, a mapping or TipSettings")
-    data = read_yaml(source)
+    data = {"format": "ONNX"} if Path(source).suffix.lower() == ".onnx" else read_yaml(source)
     if not isinstance(data, dict):
         raise ConfigError(f"{source}: got {type(data).__name__}, expected a mapping of settings")
+    if "format" in data:
+        raise ConfigError(
+            f"{source}: got a model, format {shown(data['format'])}, expected the file of a controller; write one, "
+            f"such as tip.yaml, with the line `model: {Path(source).name}`, and give that"
+        )
     return TipSettings.parse(data, str(source)), Path(source).resolve().parent
 
 

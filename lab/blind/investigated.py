@@ -12,15 +12,13 @@ from typing import Any, final
 import numpy as np
 
 from hystmpc.bench.config import InvestigateSettings
-from hystmpc.bench.device import MovableDevice, Track
+from hystmpc.bench.device import AnyTip, MovableDevice, Track
 from hystmpc.bench.investigate import RESULT_FILE, investigate_device
-from hystmpc.bench.motions import run_seconds
-from hystmpc.ctrl.planner.settings import TipSettings
+from hystmpc.bench.motions import AnyMotion, run_seconds
 from hystmpc.models.simulator import Simulator
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.experiment.phases import Phase
 from hystmpc.sim.jobs import attempt
-from hystmpc.trajectories.motion import MotionSettings
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.trial import Trial
@@ -67,7 +65,7 @@ class CaseDevice(MovableDevice):
         self.used_s += run_seconds(bench, commands.size)
         return replace(trial, source=f"{name}.csv")
 
-    def track(self, name: str, tip: TipSettings, reference: MotionSettings, bench: BenchSettings) -> Track:
+    def track(self, name: str, tip: AnyTip, reference: AnyMotion, bench: BenchSettings) -> Track:
         """Always an error, since an investigation tracks nothing.
 
         Raises:

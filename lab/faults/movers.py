@@ -15,10 +15,10 @@ import numpy as np
 
 from hystmpc.bench.commission import commission_device
 from hystmpc.bench.config import CommissionSettings, InvestigateSettings, located_investigation
-from hystmpc.bench.device import BenchDevice, DeviceStoppedError, MovableDevice, Tick, Track, plants_in
+from hystmpc.bench.device import AnyTip, BenchDevice, DeviceStoppedError, MovableDevice, Tick, Track, plants_in
 from hystmpc.bench.investigate import investigate_device
+from hystmpc.bench.motions import AnyMotion
 from hystmpc.ctrl import TipController
-from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.rig.config import BenchSettings, RunSettings
 from hystmpc.rig.experiment.experiment import Steering, run_experiment, tracking_phase
 from hystmpc.rig.experiment.phases import CommandMotion, Phase
@@ -30,7 +30,6 @@ from hystmpc.rig.recording.sample import SampleList, Sink
 from hystmpc.rig.run import BenchResult, run_bench
 from hystmpc.rig.safety.ramp import waypoint_commands
 from hystmpc.rig.transports.transport import Conversion, RunContext
-from hystmpc.trajectories.motion import MotionSettings
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.errors import ConfigError, HystmpcError
 from hystmpc.trials.trial import Trial
@@ -278,7 +277,7 @@ class OnlyRecordings(MovableDevice):
             raise RecordedError("recorded")
         return trial
 
-    def track(self, name: str, tip: TipSettings, reference: MotionSettings, bench: BenchSettings) -> Track:
+    def track(self, name: str, tip: AnyTip, reference: AnyMotion, bench: BenchSettings) -> Track:
         return self._device.track(name, tip, reference, bench)
 
 

@@ -27,6 +27,7 @@ RADII = (0.01, 0.03, 0.06, 0.1, 0.16, 0.24, 0.34)
 LAGS_S = (0.05, 0.15, 0.5, 3.0)
 """Time constants of the lags in front of the travel [s]."""
 
+_INSIDE = 0.05  # distance of a start from that bound
 _MOST = 0.8  # greatest size of a number: beyond it, commands would be exchanged
 _RIDGE = 1e-6
 _WORTH = 0.1  # of the mean square error: what further numbers have to take away
@@ -90,9 +91,10 @@ def choose_joint(trials: Sequence[Trial]) -> Chosen:
     order = _order(trials)
     data = _Data.of(trials, order)
     parts, all_ = np.array_split(np.arange(data.samples), _PARTS), np.ones(data.samples, dtype=bool)
-    squares, numbers = {name: np.empty(_PARTS) for name in FREE}, {}
+    squares, numbers = {name: np.empty(_PARTS) for name in FREE}, dict[str, Vec]()
+    starts = [np.zeros(4), data.straight_numbers()]
     for name, free in FREE.items():
-        numbers[name] = data.fitted(free, all_, np.zeros(4))
+        numbers[name] = data.best_fitted(free, all_, [*starts, *numbers.values()])
         for k, part in enumerate(parts):
             seen = all_.copy()
             seen[part] = False
@@ -174,6 +176,23 @@ class _Data:
         answer = least_squares(error, start[list(free)], bounds=(-_MOST, _MOST), diff_step=1e-3, max_nfev=12)
         q[list(free)] = answer.x
         return q.copy()
+
+    def best_fitted(self, free: Sequence[int], seen: Mask, starts: Sequence[Vec]) -> Vec:
+        """The best of the numbers (4,) that are searched from several starts, of which those that are free count.
+
+        Plays have kinks: near no turn at all, a search may end where an axis begins to leave its smallest play.
+        """
+        mask = np.isin(np.arange(4), list(free))
+        kept = {tuple(np.where(mask, start, 0.0).tolist()): None for start in starts}
+        tried = [self.fitted(free, seen, np.array(start)) for start in kept]
+        return min(tried, key=lambda q: float(np.sum(self.errors(q, seen)[:, seen] ** 2)))
+
+    def straight_numbers(self) -> Vec:
+        """Numbers (4,) by the gains of a line from commands to angles: all of them of the tendons, or of the frame."""
+        u = np.hstack([commands - commands.mean(1, keepdims=True) for commands in self.commands])
+        (a, b), (c, d) = np.linalg.lstsq(u.T, self.angles.T - self.angles.mean(1), rcond=None)[0].T
+        shares = np.array([b / a, c / d, b / d, c / a]) if a and d else np.zeros(4)
+        return np.clip(shares, -_MOST + _INSIDE, _MOST - _INSIDE)
 
     def errors(self, q: Vec, seen: Mask) -> Vec:
         """Errors (2, T) [deg] of the linear model whose weights are those of the samples seen."""

@@ -21,6 +21,7 @@ from ..plane_config import PlaneRunSettings
 from ..recording.sample import Sink
 from ..run import BenchResult, Note, run_bench
 from ..safety.plausibility import AxesFrame
+from ..safety.stop import cause_of
 from ..transports.transport import PlantFactory
 from .experiment import Tracking, model_watch
 
@@ -110,13 +111,20 @@ def _take_first_step(tip: TwoAxisTipController, reference: PlaneMotion) -> None:
     """Take one step from rest without the device, so that every error is raised before anything moves.
 
     Raises:
-        ControllerError: if the controller cannot start, or its first command is that of a stop.
+        ControllerError: if the controller cannot start or take over, or its first command is that of a stop.
     """
     tip.reset(np.zeros(AXES))
     tip.set_reference(reference)
     command = tip.step(np.zeros(AXES))
     if tip.state().stopped:
         raise ControllerError(f"controller: the first step without the device stopped: {command.status}")
+    try:
+        tip.replay(np.tile(command.u, (2, 1)), np.zeros((2, AXES)))
+    except Exception as error:  # noqa: BLE001 - whatever it is, it must not happen while the device moves
+        raise ControllerError(
+            f"controller: {cause_of(error)} as it takes over from a recording, expected one that can; of a model with "
+            "shared friction a PID cannot: leave cross_friction out of the PID's model"
+        ) from None
     tip.reset()
 
 
