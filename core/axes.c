@@ -14,8 +14,7 @@ static const real axes_grain = R(1e-6), axes_same = R(1e-8);
 
 enum {
     AXES_CROSS_STATES = 2 + 4 * HYSTMPC_CROSS_MOST + 2 * HYSTMPC_CROSS_LATE,
-    AXES_ROUNDS = 2, /* programs of a step, each around the plans of the one before */
-    AXES_SHARES = 3  /* the whole way to the plans of a program, half of it, a quarter */
+    AXES_SHARES = 3 /* the whole way to the plans of a program, half of it, a quarter */
 };
 
 /* One axis in a call. */
@@ -277,31 +276,46 @@ static real axes_admit(const axes_call *c, const real *travels, int apart, real 
     return off;
 }
 
-/* What the models answer to commands (n, H): travels (2, H), angles y (2, H), the shared friction (2, H), and theta (2, H),
- * without disturbances; 0, or another number. */
-static int axes_answer(const axes_call *c, const real *plans, axes_joint *q) {
+/* Travels (2, H) of commands (n, H), and no shared friction yet. */
+static void axes_follow(const axes_call *c, const real *plans, axes_joint *q) {
+    for (int k = 0; k < c->horizon; k++) axes_travels(c->a, plans + k, c->horizon, q->travels + k, c->horizon);
+    fill(q->rub, R(0.0), HYSTMPC_AXES * c->horizon);
+}
+
+/* Angles theta (2, H) of y and of the shared friction. */
+static void axes_sum(const axes_call *c, axes_joint *q) {
     const int h = c->horizon;
-    real state[AXES_CROSS_STATES];
-    for (int k = 0; k < h; k++) axes_travels(c->a, plans + k, h, q->travels + k, h);
-    for (int i = 0; i < HYSTMPC_AXES; i++)
-        if (hystmpc_model_run(c->axis[i].p->model, q->state[i], 1, h, q->travels + i * h, q->y + i * h, q->room)) return 1;
-    fill(q->rub, R(0.0), HYSTMPC_AXES * h);
-    if (c->a->cross) {
-        copy(c->cross, state, axes_cross_states(c->a));
-        hystmpc_cross_run(c->a->cross, h, q->travels, state, q->rub);
-    }
     for (int k = 0; k < h; k++) {
         const real y[HYSTMPC_AXES] = {q->y[k] + q->rub[k], q->y[h + k] + q->rub[h + k]};
         axes_map(c->a->frame, HYSTMPC_AXES, HYSTMPC_AXES, y, 1, q->theta + k, h);
     }
+}
+
+/* What the models answer to commands (n, H): travels (2, H), angles y (2, H), the shared friction (2, H), and theta (2, H),
+ * without disturbances; `answered`: y are those of the axes' proposals. 0, or another number. */
+static int axes_answer(const axes_call *c, const real *plans, int answered, axes_joint *q) {
+    const int h = c->horizon;
+    real state[AXES_CROSS_STATES];
+    axes_follow(c, plans, q);
+    for (int i = 0; i < HYSTMPC_AXES; i++) {
+        real *const y = q->y + i * h;
+        if (answered) copy(c->axis[i].out.angles, y, h);
+        else if (hystmpc_model_run(c->axis[i].p->model, q->state[i], 1, h, q->travels + i * h, y, q->room)) return 1;
+    }
+    if (c->a->cross) {
+        copy(c->cross, state, axes_cross_states(c->a));
+        hystmpc_cross_run(c->a->cross, h, q->travels, state, q->rub);
+    }
+    axes_sum(c, q);
     return 0;
 }
 
-/* J (2, H, n, H) of the angles theta by the commands, A (dy / dw + dc / dw) M, along the travels; 0, or another number. */
-static int axes_slopes(const axes_call *c, axes_joint *q) {
+/* The same, and J (2, H, n, H) of the angles theta by the commands: A (dy / dw + dc / dw) M. */
+static int axes_slopes(const axes_call *c, const real *plans, axes_joint *q) {
     const hystmpc_axes *const a = c->a;
     const int h = c->horizon, n = a->commands;
     real *to = q->jacobian, state[AXES_CROSS_STATES];
+    axes_follow(c, plans, q);
     fill(q->slopes, R(0.0), HYSTMPC_AXES * HYSTMPC_AXES * h * h);
     for (int i = 0; i < HYSTMPC_AXES; i++)
         if (hystmpc_model_linearise(c->axis[i].p->model, q->state[i], h, q->travels + i * h, q->y + i * h,
@@ -311,14 +325,15 @@ static int axes_slopes(const axes_call *c, axes_joint *q) {
         copy(c->cross, state, axes_cross_states(a));
         hystmpc_cross_slopes(a->cross, h, q->travels, state, q->rub, q->slopes, q->bends);
     }
+    axes_sum(c, q);
     for (int o = 0; o < HYSTMPC_AXES; o++)
         for (int k = 0; k < h; k++)
             for (int j = 0; j < n; j++, to += h) {
+                real shares[HYSTMPC_AXES * HYSTMPC_AXES];
+                for (int i = 0; i < HYSTMPC_AXES * HYSTMPC_AXES; i++)
+                    shares[i] = a->frame[o * HYSTMPC_AXES + i / HYSTMPC_AXES] * a->mix[i % HYSTMPC_AXES * n + j];
                 fill(to, R(0.0), h);
-                for (int i = 0; i < HYSTMPC_AXES * HYSTMPC_AXES; i++) {
-                    const real share = a->frame[o * HYSTMPC_AXES + i / HYSTMPC_AXES] * a->mix[i % HYSTMPC_AXES * n + j];
-                    if (share != R(0.0)) add_rows(to, k + 1, &share, 1, q->slopes + (i * h + k) * h, h, 1);
-                }
+                add_rows(to, k + 1, shares, 1, q->slopes + k * h, h * h, HYSTMPC_AXES * HYSTMPC_AXES);
             }
     return 0;
 }
@@ -386,20 +401,18 @@ static void axes_lay_out(const axes_call *c, const real *reference, axes_joint *
 }
 
 /* One program around plans (n, H) that cost `cost`: they become those of the first share of the way to its solution that
- * cost less, with their cost. 1 where they did, 0 where not, -1 where a model from outside has failed. */
-static int axes_improve(const axes_call *c, const hystmpc_task *tasks, real *plans, real *cost, axes_joint *q) {
+ * cost less. 1 where they did, with what the models answer to them, 0 where not, -1 where a model from outside has failed. */
+static int axes_improve(const axes_call *c, const hystmpc_task *tasks, real *plans, real cost, axes_joint *q) {
     const hystmpc_axes *const a = c->a;
     const int numbers = a->commands * c->horizon;
-    if (axes_answer(c, plans, q) || axes_slopes(c, q)) return -1;
+    if (axes_slopes(c, plans, q)) return -1;
     if (hystmpc_step_plan(a->law, tasks, q->jacobian, plans, q->theta, a->changes, q->program, q->whole, q->better,
                           q->better + numbers) < 0)
         return 0;
     for (int share = 0; share < AXES_SHARES; share++) {
-        if (axes_answer(c, q->better, q)) return -1;
-        const real now = hystmpc_plan_cost(a->law, tasks, q->better, q->theta);
-        if (now < *cost) {
+        if (axes_answer(c, q->better, 0, q)) return -1;
+        if (hystmpc_plan_cost(a->law, tasks, q->better, q->theta) < cost) {
             copy(q->better, plans, numbers);
-            *cost = now;
             return 1;
         }
         for (int k = 0; k < numbers; k++) q->better[k] = R(0.5) * (q->better[k] + plans[k]);
@@ -407,10 +420,11 @@ static int axes_improve(const axes_call *c, const hystmpc_task *tasks, real *pla
     return 0;
 }
 
-/* The cheaper one of both axes' plans and of what is left of the last ones, travels `ahead` (2, S), improved by programs for
- * all commands, in place; the axes' proposals become its travels and angles, `shared` (2, S) its friction. 0, or another
+/* The cheaper one of both axes' plans, which limits have moved where they are `bound`, and of what is left of the last ones,
+ * travels `ahead` (2, S), improved by a program for all commands, in place; the axes' proposals become its travels and angles, `shared` (2, S) its friction. 0, or another
  * number where a model from outside has failed. */
-static int axes_weigh(axes_call *c, const real *reference, const real *ahead, real *plans, real *shared, char *room) {
+static int axes_weigh(axes_call *c, int bound, const real *reference, const real *ahead, real *plans, real *shared,
+                      char *room) {
     const hystmpc_axes *const a = c->a;
     const int h = c->horizon, n = a->commands, samples = hystmpc_reference_samples(a->first);
     hystmpc_task tasks[HYSTMPC_PULLS];
@@ -423,17 +437,16 @@ static int axes_weigh(axes_call *c, const real *reference, const real *ahead, re
         if (j < HYSTMPC_AXES) tasks[j].reference += j * h;
         if (j) tasks[j - 1].next = tasks + j;
     }
-    if (axes_answer(c, plans, &q)) return 1;
+    if (axes_answer(c, plans, !bound, &q)) return 1;
     real cost = hystmpc_plan_cost(a->law, tasks, plans, q.theta);
     if (a->cross) {
         axes_admit(c, ahead, samples, q.better);
-        if (axes_answer(c, q.better, &q)) return 1;
+        if (axes_answer(c, q.better, 0, &q)) return 1;
         const real other = hystmpc_plan_cost(a->law, tasks, q.better, q.theta);
         if (other < cost) copy(q.better, plans, n * h), cost = other;
     }
-    int better = 1;
-    for (int k = 0; k < (a->cross ? AXES_ROUNDS : 1) && better > 0; k++) better = axes_improve(c, tasks, plans, &cost, &q);
-    if (better < 0 || axes_answer(c, plans, &q)) return 1;
+    const int better = axes_improve(c, tasks, plans, cost, &q);
+    if (better < 0 || (!better && axes_answer(c, plans, 0, &q))) return 1;
     const int delay = a->first->sensing->delay;
     for (int i = 0; i < HYSTMPC_AXES; i++) {
         const hystmpc_memory *const m = &c->axis[i].m;
@@ -515,7 +528,7 @@ int hystmpc_axes_step(const void *axes, char *memory, const real *angles_deg, co
     const int planned = axes_plan(&c);
     const int bound = planned && axes_admit(&c, proposed, h, plans) > axes_grain;
     const int together = planned && a->cross && axes_move(&c);
-    if ((bound || together) && axes_weigh(&c, in_y, ahead, plans, shared, room))
+    if ((bound || together) && axes_weigh(&c, bound, in_y, ahead, plans, shared, room))
         for (int i = 0; i < HYSTMPC_AXES; i++) c.axis[i].out.status = HYSTMPC_FAILED;
     if (planned) {
         for (int j = 0; j < n; j++) u[j] = plans[j * h];

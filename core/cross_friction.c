@@ -21,21 +21,23 @@ typedef struct {
     real *lagged, *both, *alone;
 } cross_slopes;
 
-/* b and p of play j behind v; answers r / |v - b| where b slides, else 1, and the direction of v - b. */
-static real cross_slide(const hystmpc_cross_friction *f, int j, const real *v, real *both, real *alone, real *along) {
+/* b and p of play j behind v; answers r / |v - b| where b slides, else 1, and v - b. */
+static real cross_slide(const hystmpc_cross_friction *f, int j, const real *v, real *both, real *alone, real *off) {
     const real r = f->radii[j], dx = v[0] - both[0], dy = v[1] - both[1];
     const real apart = MATH(sqrt)(dx * dx + dy * dy), share = apart > r ? r / apart : R(1.0);
-    along[0] = apart > r ? dx / apart : R(0.0);
-    along[1] = apart > r ? dy / apart : R(0.0);
+    off[0] = dx;
+    off[1] = dy;
     both[0] = v[0] - share * dx;
     both[1] = v[1] - share * dy;
     for (int i = 0; i < 2; i++) alone[i] = clamp(alone[i], v[i] - r, v[i] + r);
     return share;
 }
 
-/* The derivatives of play j where it slides: b = v - r n with n the direction of v - b, whose derivative is across n. */
-static void cross_slide_slopes(const cross_slopes *d, int j, int count, real share, const real *along, const int *slid) {
+/* The derivatives of play j where it slides: b = v - r n with n the direction of v - b (`off`), whose derivative is across n. */
+static void cross_slide_slopes(const cross_slopes *d, int j, int count, real share, const real *off, const int *slid) {
     const int t = d->samples;
+    const real apart = share < R(1.0) ? MATH(sqrt)(off[0] * off[0] + off[1] * off[1]) : R(1.0);
+    const real along[2] = {off[0] / apart, off[1] / apart};
     for (int a = 0; a < 2 && share < R(1.0); a++) {
         real *const bx = d->both + (4 * j + a) * t, *const by = bx + 2 * t;
         for (int s = 0; s < count; s++) {
@@ -83,13 +85,13 @@ static void cross_sample(const hystmpc_cross_friction *f, const real *w, real *s
     for (int i = 0; i < 2; i++) v[i] = w[i] + f->keep * (v[i] - w[i]), sum[i] = R(0.0);
     cross_couple(f, v, sum, d, count, rows);
     for (int j = 0; j < f->plays; j++) {
-        real along[2];
+        real off[2];
         const real before[2] = {alone[2 * j], alone[2 * j + 1]};
-        const real share = cross_slide(f, j, v, both + 2 * j, alone + 2 * j, along);
+        const real share = cross_slide(f, j, v, both + 2 * j, alone + 2 * j, off);
         for (int i = 0; i < 2; i++) sum[i] += f->weights[i * f->plays + j] * (both[2 * j + i] - alone[2 * j + i]);
         if (!d) continue;
         const int slid[2] = {alone[2 * j] != before[0], alone[2 * j + 1] != before[1]};
-        cross_slide_slopes(d, j, count, share, along, slid);
+        cross_slide_slopes(d, j, count, share, off, slid);
         for (int i = 0; i < 2; i++) {
             const real weight = f->weights[i * f->plays + j], less = -weight;
             for (int a = 0; a < 2; a++) add_rows(rows[2 * i + a], count, &weight, 1, d->both + (4 * j + 2 * i + a) * d->samples, 0, 1);

@@ -206,7 +206,7 @@ class LinearisedMpcSettings(PredictiveSettings):
         horizon = self.preview_samples(dt_s)
         if self.move_blocking is not None or self.horizon is not None or horizon <= _LEAST_SAMPLES:
             return self.move_blocking
-        return _doubling_blocks(horizon)
+        return doubling_blocks(horizon)
 
 
 # A noise is a matrix F (H, K): samples are F w with w standard normal (K,). Rows have unit norm, so that every sample
@@ -295,11 +295,11 @@ class SamplingMpcSettings(PredictiveSettings):
         A longer preview has those of the linearised controller, so that the samples have few directions to explore.
         """
         horizon = self.preview_samples(dt_s)
-        return (1,) * horizon if horizon <= _LEAST_SAMPLES else _doubling_blocks(horizon)
+        return (1,) * horizon if horizon <= _LEAST_SAMPLES else doubling_blocks(horizon)
 
 
-def _doubling_blocks(horizon: int) -> tuple[int, ...]:
-    """Blocks of 1, 2, 4, 8, ... samples, three of each length, as long as they fit the horizon."""
+def doubling_blocks(horizon: int) -> tuple[int, ...]:
+    """Return blocks of 1, 2, 4, 8, ... samples, three of each length, as long as they fit the horizon."""
     lengths: list[int] = []
     while sum(lengths) + (following := 2 ** (len(lengths) // _ALIKE)) <= horizon:
         lengths.append(following)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from time import perf_counter
 from typing import Any, TypeVar, final
 
@@ -27,18 +28,21 @@ from ..answers import SOURCES
 from ..build import build_controller, pair_for
 from ..command import EMPTY, CommandLimits, Source, Timing, numbers_of, replace
 from ..config import AnyControllerSettings
-from ..estimation.observer import Bytes, usable_angle
+from ..estimation.observer import Bytes, Places, usable_angle
 from ..guarded import GuardedController, GuardedState
 from ..law_tables import law_over
 from ..learning.predictor import LearnedPredictor
-from ..mpc_settings import LinearisedMpcSettings, PredictiveSettings
+from ..mpc_settings import LinearisedMpcSettings, PredictiveSettings, doubling_blocks
 from ..planner.reach import angles_at_rest
 from ..problem import CHANGES
 
 Predictive = TypeVar("Predictive", bound=PredictiveSettings)
 _PREDICTIVE, _PAST = constants()["HYSTMPC_PREDICTIVE"], constants()["HYSTMPC_PAST"]
-_COMMAND = layout("hystmpc_command")
+_ANSWERS = layout("hystmpc_command") * AXES
 _ROUNDING = 1e-6  # samples by which a frame may seem to be of the future
+_STOPPED = "after repeated failures"
+_WORSE = tuple(list(Source).index(source) for source in SOURCES)  # of the engine's levels of fallback
+_Part = tuple[slice, Places]
 _DEAR_S, _TOLERANCE = 0.018, 0.25  # where friction is shared: T [s]; tolerance of a hold, of the model's error
 
 
@@ -72,27 +76,37 @@ class TwoAxisState:
 
     Attributes:
         memory: bytes of the engine (B,), never changed, see core/axes.h.
-        first, second: the same of each axis, in its coordinates w and y, to be read.
+        parts: where the memory of each axis lies in it, with the places of its estimate.
         cause: why the stop is latched.
         refusal: why the next step has no time for a plan; empty if it has.
     """
 
     memory: Bytes
-    first: GuardedState
-    second: GuardedState
-    cause: str = "after repeated failures"
+    parts: tuple[_Part, _Part]
+    cause: str = _STOPPED
     refusal: str = ""
     __repr__ = brief
 
-    @property
+    @cached_property
     def axes(self) -> tuple[GuardedState, GuardedState]:
-        """States of both axes, in their coordinates w and y."""
-        return self.first, self.second
+        """States of both axes, in their coordinates w and y, to be read."""
+        (first, at_first), (second, at_second) = self.parts
+        return GuardedState(self.memory[first], at_first), GuardedState(self.memory[second], at_second)
+
+    @property
+    def first(self) -> GuardedState:
+        """State of x."""
+        return self.axes[0]
+
+    @property
+    def second(self) -> GuardedState:
+        """State of y."""
+        return self.axes[1]
 
     @property
     def stopped(self) -> bool:
         """Whether the stop is latched."""
-        return self.first.stopped or self.second.stopped
+        return any(axis.stopped for axis in self.axes)
 
 
 @final
@@ -146,7 +160,8 @@ class TwoAxisController(HoldsAddresses):
         self._room = int(self._engine.axes_room_bytes(self._address))
         sizes = [int(self._engine.memory_bytes(axis.problem.address)) for axis in self._axes]
         head = self._bytes - sum(sizes)
-        self._parts = slice(head, head + sizes[0]), slice(head + sizes[0], self._bytes)
+        self._parts = (slice(head, head + sizes[0]), x.places), (slice(head + sizes[0], self._bytes), y.places)
+        self._turn = model.turn.tolist()
         self.horizon = self._axes[0].horizon
         self._planned = int(self._axes[0].problem.fields["law"].fields["horizon"])
 
@@ -174,10 +189,10 @@ class TwoAxisController(HoldsAddresses):
         self._engine.axes_at(self._address, angles, np.ascontiguousarray(held), y, w)
         begun = [axis.init(float(y[i]), float(w[i])) for i, axis in enumerate(self._axes)]
         memory = np.zeros(self._bytes, dtype=np.uint8)
-        for part, state in zip(self._parts, begun, strict=True):
+        for (part, _), state in zip(self._parts, begun, strict=True):
             memory[part] = state.memory
         self._engine.axes_begin(self._address, memory, np.ascontiguousarray(held))
-        return self._state(memory)
+        return TwoAxisState(memory, self._parts)
 
     def replay(self, commands: Vec, angles_deg: Vec) -> TwoAxisState:
         """State after a recording, hysteresis included, as if this controller had sent its commands.
@@ -203,7 +218,7 @@ class TwoAxisController(HoldsAddresses):
         travels, y = self.model.travels(commands), self.model.in_axes(angles_deg)
         memory = np.zeros(self._bytes, dtype=np.uint8)
         shared = self._replay_friction(travels)
-        for i, (part, axis) in enumerate(zip(self._parts, self._axes, strict=True)):
+        for i, ((part, _), axis) in enumerate(zip(self._parts, self._axes, strict=True)):
             w = np.clip(travels[:, i], axis.limits.lower, axis.limits.upper)
             memory[part] = axis.replay(w, y[:, i] - (0.0 if shared is None else shared[0][:, i])).memory
         self._engine.axes_begin(self._address, memory, np.ascontiguousarray(commands[-1]))
@@ -212,7 +227,7 @@ class TwoAxisController(HoldsAddresses):
                 np.uint8
             )  # the head of a memory, see core/axes.h
             memory[: numbers.size] = numbers
-        return self._state(memory)
+        return TwoAxisState(memory, self._parts)
 
     def _replay_friction(self, travels: Vec) -> tuple[Vec, Vec, Vec] | None:
         """Shared friction (T, 2) in angles of a recording, last values (newest first) and state; None without it."""
@@ -240,7 +255,7 @@ class TwoAxisController(HoldsAddresses):
             fault = f"reference: got shape {wanted.shape}, expected ({self.horizon}, 2)"
             wanted = np.full((self.horizon, AXES), np.nan)
         wanted = np.ascontiguousarray(wanted[: self.horizon].T)
-        n, memory, answers = len(self.limits), state.memory.copy(), (_COMMAND * AXES)()
+        n, memory, answers = len(self.limits), state.memory.copy(), _ANSWERS()
         u, numbers = np.empty(n), np.empty((n + AXES, self._planned))
         if state.refusal:
             self._engine.axes_hurry(self._address, memory)
@@ -249,17 +264,16 @@ class TwoAxisController(HoldsAddresses):
             self._room, self._engine.axes_step, self._address, memory, usable_angles(angles_deg), wanted, u,
             ctypes.addressof(answers), numbers,
         )  # fmt: skip
-        after = self._state(memory, state.cause)
-        sources = [SOURCES[answer.source] for answer in answers]
-        planned = min(answer.planned for answer in answers)
-        departures = np.array([answer.departure_deg for answer in answers])
+        after = TwoAxisState(memory, self._parts, state.cause)
+        x, y = answers
+        planned, off_x, off_y = min(x.planned, y.planned), x.departure_deg, y.departure_deg
         command = TwoAxisCommand(
             u,
-            max(sources, key=list(Source).index),
+            SOURCES[max(x.source, y.source, key=_WORSE.__getitem__)],
             self._status(state, after, answers, fault) if unusual else "ok",
             plan=numbers[:n, :planned].T,
             predicted=numbers[n:, : planned or 1].T,
-            disturbance=np.asarray(departures @ self.model.turn.T),
+            disturbance=np.array([by_x * off_x + by_y * off_y for by_x, by_y in self._turn]),
             timing=Timing({"step": perf_counter() - began}),
         )
         return command, after
@@ -276,19 +290,19 @@ class TwoAxisController(HoldsAddresses):
         if not self._engine.axes_measure(self._address, memory, angles, age):
             reason = "; ".join(faults()) or f"angles {shown(angles_deg, 60)} deg of age {age:.3g} samples are unusable"
             raise ControllerError(f"measure: {reason}")
-        return self._state(memory, state.cause)
+        return TwoAxisState(memory, self._parts, state.cause)
 
     def stop(self, state: TwoAxisState, cause: str) -> TwoAxisState:
         """State with the stop of both axes latched, until a new `init`."""
         memory = state.memory.copy()
         self._engine.axes_stop(self._address, memory)
-        return self._state(memory, cause)
+        return TwoAxisState(memory, self._parts, cause)
 
     def holding(self, state: TwoAxisState, commands: ArrayLike) -> TwoAxisState:
         """State in which the device holds commands (n,) in place of those sent last."""
         memory = state.memory.copy()
         self._engine.axes_held(self._address, memory, np.ascontiguousarray(commands, dtype=np.float64))
-        return self._state(memory, state.cause)
+        return TwoAxisState(memory, self._parts, state.cause)
 
     def nearest(self, angles_deg: Vec, disturbance_deg: Vec) -> tuple[Vec, Vec]:
         """Angles (2,) [deg] nearest to the wanted ones that commands within the limits can hold, and these commands.
@@ -315,12 +329,6 @@ class TwoAxisController(HoldsAddresses):
         sigmas = [axis.sigma_deg(part) for axis, part in zip(self._axes, state.axes, strict=True)]
         return np.asarray(np.sqrt(self.model.turn**2 @ np.square(sigmas)))
 
-    def _state(self, memory: Bytes, cause: str = "after repeated failures") -> TwoAxisState:
-        first, second = (
-            GuardedState(memory[part], axis.places) for part, axis in zip(self._parts, self._axes, strict=True)
-        )
-        return TwoAxisState(memory, first, second, cause)
-
     def _status(self, before: TwoAxisState, after: TwoAxisState, answers: Any, fault: str) -> str:
         words = []
         for name, axis, old, new, answer in zip("xy", self._axes, before.axes, after.axes, answers, strict=True):
@@ -335,7 +343,7 @@ def usable_angles(angles_deg: object) -> Vec:
     angles = numbers_of(angles_deg)
     if angles.shape != (AXES,):
         return np.full(AXES, np.nan)
-    return np.array([usable_angle(float(angle)) for angle in angles])
+    return np.array([usable_angle(angle) for angle in angles.tolist()])
 
 
 def _dearer(settings: Predictive, gains: Sequence[float], dt_s: float) -> Predictive:
@@ -382,8 +390,11 @@ def _problem(
     first = axes[0].problem.fields["law"]
     if isinstance(settings, LinearisedMpcSettings) and first.fields["kind"] == _PREDICTIVE:
         horizon = int(first.fields["horizon"])
+        blocks = settings.blocks(model.dt_s)
+        if model.cross_friction is not None and settings.move_blocking is None:
+            blocks = doubling_blocks(horizon)  # of what the program changes of plans in which every sample moves
         for number in reversed(range(len(limits))):
-            law = law_over(settings.weights, horizon, limits[number], model.dt_s, settings.blocks(model.dt_s), law)
+            law = law_over(settings.weights, horizon, limits[number], model.dt_s, blocks, law)
             if number >= AXES:  # a command without an angle
                 law = struct("hystmpc_law", **{k: v for k, v in law.fields.items() if k != "tracking"})
     return struct(

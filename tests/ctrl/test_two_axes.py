@@ -203,6 +203,20 @@ def test_four_tendons_are_never_slack_and_keep_their_pretension() -> None:
     assert angles == pytest.approx([-4.0, 0.0], abs=0.2)
 
 
+@pytest.mark.parametrize("size", [4.0, 30.0])
+def test_angles_are_foretold_along_the_plan_that_is_sent(size: float) -> None:
+    """On a device that is the model, where limits bind and where they do not."""
+    controller, device = controller_of(JOINED, KINDS[0]), Device(JOINED)
+    state, angles = controller.init((0.0, 0.0), (0.0, 0.0)), np.zeros(2)
+    t = DT * np.arange(60 + controller.horizon)
+    wanted = size * np.stack([np.sin(3 * t), np.sin(2 * t)], axis=1)
+    for k in range(60):
+        command, state = controller.step(state, angles, wanted[k : k + controller.horizon])
+        angles = device.advance(command.u)
+        assert command.plan[0] == pytest.approx(command.u, abs=1e-12)
+        assert command.predicted[0] == pytest.approx(angles, abs=1e-6)
+
+
 def test_an_axis_that_stops_stops_the_other() -> None:
     """The sensor of x fails for good, that of y does not."""
     controller = controller_of(two_axes(), KINDS[0])
