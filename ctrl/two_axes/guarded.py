@@ -235,7 +235,7 @@ class TwoAxisController(HoldsAddresses):
         if friction is None:
             return None
         c, state = friction.advance(friction.at_rest(travels[0], dt_s), travels, dt_s)
-        late = 1 + int(self._axes[0].problem.fields["sensing"].fields["delay"])
+        late = 1 + int(self._axes[0].problem.fields["sensing"].fields.get("delay", 0))
         past = np.zeros((max(_PAST, late) + len(c), AXES))
         past[-len(c) :] = c
         return past[-late - len(c) : -late], past[: -_PAST - 1 : -1].ravel(), state

@@ -372,6 +372,16 @@ def test_after_a_replay_the_controller_knows_the_hysteresis_of_the_device(cross:
     assert off[1] > 100 * off[0]
 
 
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind["kind"])
+def test_every_kind_takes_over_a_device_that_shares_friction(kind: dict[str, Any]) -> None:
+    """After a replay the first command lies within the rates of those that the device holds."""
+    controller, sent = controller_of(JOINED, kind), 0.5 * wandering(5, 200)
+    measured = JOINED.run(sent, np.zeros(2))
+    state = controller.replay(sent, measured)
+    command, _ = controller.step(state, measured[-1], np.tile(measured[-1] + 5.0, (controller.horizon, 1)))
+    assert np.all(np.abs(command.u - sent[-1]) <= RATE * DT + 1e-9)
+
+
 def test_a_replay_ends_at_the_command_that_the_device_holds() -> None:
     tip = TwoAxisTipController(JOINED, TwoAxisTipSettings(model="unused"))
     sent = 0.5 * wandering(1, 100)
