@@ -22,6 +22,7 @@ from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator
 
+from hystmpc.bench.device import Track
 from hystmpc.bench.motions import CONTROLLERS
 from hystmpc.bench.report import before_and_after
 from hystmpc.ctrl.command import CommandLimits
@@ -64,11 +65,9 @@ class _Result:
         self.controller, self.run, self.limits = name, _Run(k), CommandLimits(0.0, 6.0, 10.0)
 
 
-class _Track:
-    def __init__(self, k: int) -> None:
-        self.t, self.reference_deg = T, SINE
-        self.error_deg = 0.03 * (k + 1) * np.sin(3.0 * T)
-        self.measured_deg, self.command = SINE + self.error_deg, 3.0 + 0.01 * k + 2.0 * np.sin(0.8 * T)
+def _track(k: int) -> Track:
+    measured = SINE + 0.03 * (k + 1) * np.sin(3.0 * T)
+    return Track(T, SINE, measured, 3.0 + 0.01 * k + 2.0 * np.sin(0.8 * T), ("mpc",) * T.size)
 
 
 def study() -> Figure:
@@ -78,7 +77,7 @@ def study() -> Figure:
 
 
 def commissioned() -> Figure:
-    runs: Any = {name: {c: _Track(k) for k, c in enumerate(CONTROLLERS)} for name in ("point_to_point", "fast_scan")}
+    runs: Any = {name: {c: _track(k) for k, c in enumerate(CONTROLLERS)} for name in ("point_to_point", "fast_scan")}
     return before_and_after(runs, "mm")
 
 
