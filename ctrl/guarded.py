@@ -384,11 +384,7 @@ class GuardedController(HoldsAddresses):
         Raises:
             ControllerError: if it is of another controller, or cut off.
         """
-        if state.memory.dtype != np.uint8 or state.memory.shape != (self._bytes,):
-            raise ControllerError(
-                f"state: got a memory of {state.memory.nbytes} bytes, expected {self._bytes}: "
-                "it is cut off, or of another controller"
-            )
+        check_memory(state.memory, self._bytes)
 
     def _copied(self, state: GuardedState) -> Bytes:
         self.check_state(state)
@@ -410,3 +406,15 @@ def usable_reference(reference: object, horizon: int, unusable: Vec) -> tuple[Ve
     if wanted.ndim != 1 or wanted.shape[0] < horizon:
         return unusable, f"reference: got shape {wanted.shape}, expected ({horizon},)"
     return np.ascontiguousarray(wanted), _BEYOND
+
+
+def check_memory(memory: Bytes, size: int) -> None:
+    """Check the size of a state's memory in bytes: the engine does not look where memory ends.
+
+    Raises:
+        ControllerError: if it is of another controller, or cut off.
+    """
+    if memory.dtype != np.uint8 or memory.shape != (size,):
+        raise ControllerError(
+            f"state: got a memory of {memory.nbytes} bytes, expected {size}: it is cut off, or of another controller"
+        )

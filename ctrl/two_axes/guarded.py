@@ -29,7 +29,7 @@ from ..build import build_controller, pair_for
 from ..command import EMPTY, CommandLimits, Source, Timing, numbers_of, replace
 from ..config import AnyControllerSettings
 from ..estimation.observer import Bytes, Places, usable_angle
-from ..guarded import GuardedController, GuardedState
+from ..guarded import GuardedController, GuardedState, check_memory
 from ..law_tables import law_over
 from ..learning.predictor import LearnedPredictor
 from ..mpc_settings import LinearisedMpcSettings, PredictiveSettings, doubling_blocks
@@ -248,6 +248,9 @@ class TwoAxisController(HoldsAddresses):
         Args:
             angles_deg: measured angles (2,) [deg]; not-a-number where there is none.
             reference: wanted angles (H, 2) [deg] at the ends of this and the next samples; empty for a hold.
+
+        Raises:
+            ControllerError: if the state is of another controller, or cut off.
         """
         began = perf_counter()
         wanted, fault = numbers_of(reference), ""
@@ -255,7 +258,7 @@ class TwoAxisController(HoldsAddresses):
             fault = f"reference: got shape {wanted.shape}, expected ({self.horizon}, 2)"
             wanted = np.full((self.horizon, AXES), np.nan)
         wanted = np.ascontiguousarray(wanted[: self.horizon].T)
-        n, memory, answers = len(self.limits), state.memory.copy(), _ANSWERS()
+        n, memory, answers = len(self.limits), self._copied(state), _ANSWERS()
         u, numbers = np.empty(n), np.empty((n + AXES, self._planned))
         if state.refusal:
             self._engine.axes_hurry(self._address, memory)
@@ -285,7 +288,7 @@ class TwoAxisController(HoldsAddresses):
             ControllerError: if the observers accept no late measurements, or none of that age.
         """
         age = 0.0 if -_ROUNDING < age < 0.0 else age
-        memory, angles = state.memory.copy(), usable_angles(angles_deg)
+        memory, angles = self._copied(state), usable_angles(angles_deg)
         forget_faults()
         if not self._engine.axes_measure(self._address, memory, angles, age):
             reason = "; ".join(faults()) or f"angles {shown(angles_deg, 60)} deg of age {age:.3g} samples are unusable"
@@ -294,13 +297,13 @@ class TwoAxisController(HoldsAddresses):
 
     def stop(self, state: TwoAxisState, cause: str) -> TwoAxisState:
         """State with the stop of both axes latched, until a new `init`."""
-        memory = state.memory.copy()
+        memory = self._copied(state)
         self._engine.axes_stop(self._address, memory)
         return TwoAxisState(memory, self._parts, cause)
 
     def holding(self, state: TwoAxisState, commands: ArrayLike) -> TwoAxisState:
         """State in which the device holds commands (n,) in place of those sent last."""
-        memory = state.memory.copy()
+        memory = self._copied(state)
         self._engine.axes_held(self._address, memory, np.ascontiguousarray(commands, dtype=np.float64))
         return TwoAxisState(memory, self._parts, state.cause)
 
@@ -328,6 +331,10 @@ class TwoAxisController(HoldsAddresses):
         """Standard deviations of the errors of the estimated angles (2,) [deg]; not-a-number where unknown."""
         sigmas = [axis.sigma_deg(part) for axis, part in zip(self._axes, state.axes, strict=True)]
         return np.asarray(np.sqrt(self.model.turn**2 @ np.square(sigmas)))
+
+    def _copied(self, state: TwoAxisState) -> Bytes:
+        check_memory(state.memory, self._bytes)
+        return state.memory.copy()
 
     def _status(self, before: TwoAxisState, after: TwoAxisState, answers: Any, fault: str) -> str:
         words = []

@@ -217,6 +217,20 @@ def test_angles_are_foretold_along_the_plan_that_is_sent(size: float) -> None:
         assert command.predicted[0] == pytest.approx(angles, abs=1e-6)
 
 
+@pytest.mark.parametrize("other", KINDS[2:], ids=lambda kind: kind["kind"])
+def test_the_state_of_another_controller_is_refused(other: dict[str, Any]) -> None:
+    """The engine does not look where memory ends."""
+    controller, foreign = controller_of(JOINED, KINDS[0]), controller_of(JOINED, other).init((0.0, 0.0), (0.0, 0.0))
+    for use in (
+        lambda: controller.step(foreign, (0.0, 0.0), np.zeros((controller.horizon, 2))),
+        lambda: controller.measure(foreign, (0.0, 0.0), 1.0),
+        lambda: controller.stop(foreign, "tested"),
+        lambda: controller.holding(foreign, (0.0, 0.0)),
+    ):
+        with pytest.raises(ControllerError, match="cut off, or of another controller"):
+            use()
+
+
 def test_an_axis_that_stops_stops_the_other() -> None:
     """The sensor of x fails for good, that of y does not."""
     controller = controller_of(two_axes(), KINDS[0])
