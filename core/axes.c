@@ -401,7 +401,7 @@ static void axes_lay_out(const axes_call *c, const real *reference, axes_joint *
 }
 
 /* One program around plans (n, H) that cost `cost`: they become those of the first share of the way to its solution that
- * cost less. 1 where they did, with what the models answer to them, 0 where not, -1 where a model from outside has failed. */
+ * cost less. 1 where they did, with what the models answer to them, 0 where not, -1 where a model from outside failed. */
 static int axes_improve(const axes_call *c, const hystmpc_task *tasks, real *plans, real cost, axes_joint *q) {
     const hystmpc_axes *const a = c->a;
     const int numbers = a->commands * c->horizon;
@@ -420,9 +420,9 @@ static int axes_improve(const axes_call *c, const hystmpc_task *tasks, real *pla
     return 0;
 }
 
-/* The cheaper one of both axes' plans, which limits have moved where they are `bound`, and of what is left of the last ones,
- * travels `ahead` (2, S), improved by a program for all commands, in place; the axes' proposals become its travels and angles, `shared` (2, S) its friction. 0, or another
- * number where a model from outside has failed. */
+/* The cheaper one of both axes' plans and of what is left of the last ones, travels `ahead` (2, S), improved by a program
+ * for all commands, in place. `bound`: limits have moved the axes' plans. The axes' proposals become its travels and
+ * angles, `shared` (2, S) its friction. 0, or another number where a model from outside has failed. */
 static int axes_weigh(axes_call *c, int bound, const real *reference, const real *ahead, real *plans, real *shared,
                       char *room) {
     const hystmpc_axes *const a = c->a;

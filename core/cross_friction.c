@@ -33,7 +33,7 @@ static real cross_slide(const hystmpc_cross_friction *f, int j, const real *v, r
     return share;
 }
 
-/* The derivatives of play j where it slides: b = v - r n with n the direction of v - b (`off`), whose derivative is across n. */
+/* The derivatives of play j where it slides: b = v - r n with n the direction of v - b (`off`). That of n is across n. */
 static void cross_slide_slopes(const cross_slopes *d, int j, int count, real share, const real *off, const int *slid) {
     const int t = d->samples;
     const real apart = share < R(1.0) ? MATH(sqrt)(off[0] * off[0] + off[1] * off[1]) : R(1.0);

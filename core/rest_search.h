@@ -30,7 +30,7 @@ static inline rest_search rest_search_from(real at) {
 }
 
 /* The next point, from what is missing at the present one, the slope there, what the core shows, and the step back from
- * an edge. Where the search ends, answers whether the point has moved once more. */
+ * an edge. Answers whether the point has moved, also in the last step of the search. */
 static inline int rest_search_move(rest_search *s, real miss, real slope, real core, real back) {
     const real side = miss > R(0.0) ? R(1.0) : R(-1.0), last = s->at;
     const int flat = absolute(slope) < REST_FLAT, came_within = s->within;
