@@ -25,7 +25,7 @@
 
 enum {
     HYSTMPC_AXES = 2,
-    HYSTMPC_PULLS = 6, /* commands, at most */
+    HYSTMPC_PULLS = 9, /* commands, at most */
     HYSTMPC_PAST = 64  /* samples of the shared friction that are remembered, for late measurements */
 };
 

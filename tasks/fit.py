@@ -200,7 +200,7 @@ def fit(
     chosen.check([], request)
     recorded, held = _with_inputs(read(logs, say), read(tests, say) if tests else [], names, say)
     if (both := both_axes([*recorded, *held])) is not None:
-        only_one = {"inverse": inverse, "drive": drive, "residual": residual, "input": names}
+        only_one = {"inverse": inverse, "drive": drive, "residual": residual}
         recorded, held = both[: len(recorded)], both[len(recorded) :]
         made = cast(Fit, fit_both(chosen, recorded, request, out, only_one, progress, say))
     else:

@@ -103,7 +103,7 @@ def fit_both(
         if progress is not None:
             progress(steps, total, f"best {rmse:.4g} deg")
 
-    done = fit_two_axes(kind, trials, request, [request.limits] * 2, tell)
+    done = fit_two_axes(kind, trials, request, [request.limits] * trials[0].commands.shape[1], tell)
     if done.interrupted and say is not None:
         say("interrupted: the best so far of each axis is kept")
     if out is not None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .axes import second_axis
+from .axes import axes_apart
 from .clock_shift import DELAY_S, IMPOSSIBLE_S, clock_shift, correlations
 from .clocks import SLOWEST_HZ, UNUSUAL_HZ, suspected_unit
 from .encodings import MODULI, Encoding, encodings
@@ -52,10 +52,11 @@ def check(log: Log, layout: AnyLayout = "auto", sampled_hz: float | None = None)
 
 def _both(log: UncheckedLog, layout: AnyLayout | None = None) -> CheckReport:
     """All findings on a log of one axis or two."""
-    first, other = _report(log, layout), second_axis(log)
-    if other is None:
+    both = axes_apart(log)
+    first = _report(both[0], layout)
+    if len(both) == 1:
         return first
-    axes, rests = [first.findings, _report(other).findings], [np.ptp(one.command) == 0 for one in (log, other)]
+    axes, rests = [first.findings, _report(both[1]).findings], [np.ptp(one.command) == 0 for one in both]
     if sum(rests) == 1:
         k = rests.index(True)
         axes[k] = tuple(_of_resting_axis(axes[k]))

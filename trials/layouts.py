@@ -173,10 +173,19 @@ TWO_AXES = Layout(
     angle="angle_x_deg",
 )
 
+TENDONS = Layout(
+    name="tendons",
+    summary="two bending axes, three and more tendons: time_s, command_1 (or command_1_bar, ...), command_2, ..., "
+    "angle_x_deg, angle_y_deg",
+    time="time_s",
+    command={"command_1": COMMAND_UNITS[0]} | {f"command_1_{unit}": unit for unit in COMMAND_UNITS},
+    angle="angle_x_deg",
+)
+
 ANGLE_Y = "angle_y_deg"
 """Channel of the second angle of a log of two axes."""
 
-LAYOUTS: tuple[Layout, ...] = (CANONICAL, TWO_AXES, TENDON_CATHETER)
+LAYOUTS: tuple[Layout, ...] = (CANONICAL, TWO_AXES, TENDONS, TENDON_CATHETER)
 
 
 def layout_named(name: str) -> Layout:

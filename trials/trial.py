@@ -22,8 +22,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-MOST_AXES = 6
-"""Most commands, angles, and measured inputs of a device."""
+MOST_COMMANDS = 9
+"""Most commands, or angles, of a device; as in core/axes.h."""
+
+MOST_INPUTS = 6
+"""Most measured inputs of a device."""
 
 _LONGEST_SOURCE = 100  # characters of a path in a line
 
@@ -108,8 +111,8 @@ class Trial:
         for name in ("t", "command", "angle"):
             given[name] = _finite(_vector(given[name], name, self.source, name != "t"), name, self.source)
         inputs = {k: _finite(_vector(v, k, self.source), k, self.source) for k, v in self.inputs.items()}
-        if len(inputs) > MOST_AXES:
-            raise LogError(f"{self.source}: {len(inputs)} inputs, expected at most {MOST_AXES}")
+        if len(inputs) > MOST_INPUTS:
+            raise LogError(f"{self.source}: {len(inputs)} inputs, expected at most {MOST_INPUTS}")
         channels = {k: _vector(v, k, self.source) for k, v in self.channels.items()}
         given |= {"channels": MappingProxyType(channels), "inputs": MappingProxyType(inputs)}
         signals = {name: given[name] for name in ("command", "angle")} | channels | inputs
@@ -231,10 +234,10 @@ class Trial:
 def _vector(values: ArrayLike, name: str, source: str, by_axis: bool = False) -> Vec:
     """Values (T,), or (T, n) of n > 1 axes where that is allowed."""
     vector = np.array(values, dtype=np.float64)
-    if by_axis and vector.ndim == 2 and 1 <= vector.shape[1] <= MOST_AXES:
+    if by_axis and vector.ndim == 2 and 1 <= vector.shape[1] <= MOST_COMMANDS:
         vector = vector[:, 0].copy() if vector.shape[1] == 1 else vector
     elif vector.ndim != 1:
-        several = f", or (T, n) of at most {MOST_AXES} axes" if by_axis else ""
+        several = f", or (T, n) of at most {MOST_COMMANDS} axes" if by_axis else ""
         raise LogError(f"{source}: {name} has shape {vector.shape}, expected one dimension (T,){several}")
     vector.setflags(write=False)
     return vector

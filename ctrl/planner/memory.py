@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -116,9 +116,33 @@ def try_to_start(memory: Snapshot, controller: GuardedController, y: object) -> 
     return after or replace(memory, command=Command(memory.command.u, Source.HOLD, f"not started: {reason}"))
 
 
+class HasInputs(Protocol):
+    """Memory of a controller whose model depends on measured inputs; attributes as of `Snapshot`."""
+
+    @property
+    def control(self) -> Any: ...
+
+    @property
+    def inputs(self) -> Mapping[str, float]: ...
+
+    @property
+    def unmeasured(self) -> bool: ...
+
+
+class TakesInputs(Protocol):
+    """Controller whose states have values of measured inputs."""
+
+    def with_inputs(self, state: Any, inputs: Mapping[str, float]) -> Any:
+        """Return the state with the present values of measured inputs."""
+        ...
+
+
+AnyMemory = TypeVar("AnyMemory", bound=HasInputs)
+
+
 def with_inputs(
-    memory: Snapshot, controller: GuardedController, known: Sequence[MeasuredInput], given: object
-) -> tuple[Snapshot, str]:
+    memory: AnyMemory, controller: TakesInputs, known: Sequence[MeasuredInput], given: object
+) -> tuple[AnyMemory, str]:
     """Return the snapshot with the usable values of measured inputs, and what there is to say of the others.
 
     An input without a usable value keeps its last one; without any, that of the identification counts, which is said
@@ -152,6 +176,23 @@ def with_inputs(
     if memory.control is not None and values:
         memory = replace(memory, control=controller.with_inputs(memory.control, values))
     return replace(memory, inputs=values), "; ".join(notes)
+
+
+class HasStatus(Protocol):
+    """Command of a step, with what was unusual."""
+
+    @property
+    def status(self) -> str: ...
+
+
+AnyCommand = TypeVar("AnyCommand", bound=HasStatus)
+
+
+def also_said(command: AnyCommand, said: str) -> AnyCommand:
+    """Command whose status also has a text; unchanged for an empty one."""
+    if not said:
+        return command
+    return replace(command, status=said if command.status == "ok" else f"{command.status}; {said}")
 
 
 def set_request(memory: Snapshot, request: ReferenceRequest, dt: float, start: Kinematics) -> Snapshot:

@@ -23,6 +23,7 @@ from .memory import (
     Snapshot,
     TipPlan,
     TipState,
+    also_said,
     halted,
     held_after_replay,
     holding,
@@ -136,12 +137,7 @@ class TipController:
         """
         with self._lock:
             self._memory, said = with_inputs(self._memory, self._controller, self._assembly.predictor.inputs, inputs)
-        command = self._stepped(measured_theta_deg, refusal)
-        return (
-            replace(command, status=said if command.status == "ok" else f"{command.status}; {said}")
-            if said
-            else command
-        )
+        return also_said(self._stepped(measured_theta_deg, refusal), said)
 
     def _stepped(self, measured_theta_deg: float, refusal: str) -> Command:
         for _ in range(_ROUNDS):

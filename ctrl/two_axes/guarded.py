@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from time import perf_counter
@@ -21,7 +21,7 @@ from hystmpc.models.prediction.build import controller_model
 from hystmpc.models.simulator import ChainModel, Simulator
 from hystmpc.models.two_axes.model import AXES, TwoAxisModel
 from hystmpc.trials.brief import brief
-from hystmpc.trials.errors import ControllerError, shown
+from hystmpc.trials.errors import ControllerError, did_you_mean, shown
 from hystmpc.trials.types import Vec
 
 from ..answers import SOURCES
@@ -170,6 +170,11 @@ class TwoAxisController(HoldsAddresses):
         """Sample time [s]."""
         return self._axes[0].dt
 
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the measured inputs on which the model depends."""
+        return tuple(one.name for one in self.model.inputs)
+
     def init(self, angles_deg: ArrayLike, commands: ArrayLike) -> TwoAxisState:
         """State at rest at angles (2,) [deg] under commands (n,).
 
@@ -294,6 +299,22 @@ class TwoAxisController(HoldsAddresses):
             reason = "; ".join(faults()) or f"angles {shown(angles_deg, 60)} deg of age {age:.3g} samples are unusable"
             raise ControllerError(f"measure: {reason}")
         return TwoAxisState(memory, self._parts, state.cause)
+
+    def with_inputs(self, state: TwoAxisState, inputs: Mapping[str, float]) -> TwoAxisState:
+        """State with the present values of measured inputs, see `GuardedController.with_inputs`.
+
+        Raises:
+            ControllerError: if no axis depends on an input of that name.
+        """
+        if unknown := [name for name in inputs if name not in self.inputs]:
+            raise ControllerError(
+                f"controller: no input {shown(unknown[0], 40)}, {did_you_mean(unknown[0], self.inputs)}"
+            )
+        memory = self._copied(state)
+        for (part, places), axis in zip(self._parts, self._axes, strict=True):
+            known = {name: value for name, value in inputs.items() if name in axis.inputs}
+            memory[part] = axis.with_inputs(GuardedState(memory[part], places), known).memory
+        return replace(state, memory=memory)
 
     def stop(self, state: TwoAxisState, cause: str) -> TwoAxisState:
         """State with the stop of both axes latched, until a new `init`."""

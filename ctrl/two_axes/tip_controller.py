@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from dataclasses import replace as dataclass_replace
 from functools import partial
 from pathlib import Path
@@ -28,6 +28,7 @@ from hystmpc.trials.types import Vec
 from ..command import CommandLimits, ModelledLimitsSettings, Source, attempt, modelled_limits, numbers_of, replace
 from ..config import ControllerSettings
 from ..mpc_settings import LinearisedMpcSettings
+from ..planner.memory import also_said, with_inputs
 from .guarded import TwoAxisCommand, TwoAxisController, TwoAxisState, usable_angles
 from .reference import FollowedReference, MovesReference, Pair, PlaneReference, followed, rest_at, usable_points
 
@@ -150,6 +151,8 @@ class _Memory:
     request: Callable[[Pair, float], PlaneReference] | None = None
     halted: bool = False
     origin: str = ""
+    inputs: Mapping[str, float] = field(default_factory=dict)
+    unmeasured: bool = False
 
     @property
     def stopped(self) -> bool:
@@ -208,14 +211,22 @@ class TwoAxisTipController:
         """Sample time [s]."""
         return self._controller.dt
 
-    def step(self, measured_theta_deg: ArrayLike, refusal: str = "") -> TwoAxisCommand:
+    def step(
+        self, measured_theta_deg: ArrayLike, refusal: str = "", inputs: Mapping[str, float] | None = None
+    ) -> TwoAxisCommand:
         """Compute the commands to send now, and advance the clock by one sample.
 
         Args:
             measured_theta_deg: present angles (2,) [deg]; NaN where there is none. The first usable pair starts the
                 controller at rest there; until then the start commands are held.
             refusal: why there is no time for a plan in this sample: the fallbacks answer, and the status tells why.
+            inputs: present values of measured inputs of the model by name, see `TipController.step`.
         """
+        with self._lock:
+            self._memory, said = with_inputs(self._memory, self._controller, self._controller.model.inputs, inputs)
+        return also_said(self._stepped(measured_theta_deg, refusal), said)
+
+    def _stepped(self, measured_theta_deg: ArrayLike, refusal: str) -> TwoAxisCommand:
         for _ in range(_ROUNDS):
             with self._lock:
                 memory = self._memory
@@ -308,7 +319,9 @@ class TwoAxisTipController:
         with self._lock:
             if halted := self._memory.stopped:
                 control = self._controller.stop(control, "by stop()")
-            self._memory = _Memory(command, control=control, reference=rest, halted=halted, origin=self._origin)
+            self._memory = replace(
+                self._memory, command=command, steps=0, control=control, reference=rest, request=None, halted=halted
+            )
 
     def set_target(self, theta_deg: ArrayLike) -> PlaneReach:
         """Move to angles (2,) [deg] and stay; both axes arrive at the same time, within the limits of the motion.
@@ -432,7 +445,8 @@ class TwoAxisTipController:
             held = self._memory.command.u if command is None else numbers_of(command)
             if held.shape != self._low.shape or not np.all((self._low <= held) & (held <= self._high)):
                 raise ControllerError(f"reset: got commands {shown(command)}, expected {self._low.size} within limits")
-            memory = _Memory(TwoAxisCommand(held, Source.HOLD, "not started"), origin=self._origin)
+            command_now = TwoAxisCommand(held, Source.HOLD, "not started")
+            memory = _Memory(command_now, origin=self._origin, inputs=self._memory.inputs)
             if measured_theta_deg is not None:
                 memory = self._started(memory, usable_angles(measured_theta_deg))
             self._memory = memory
@@ -459,7 +473,9 @@ class TwoAxisTipController:
                 control = self._controller.holding(control, holds)
                 control = self._controller.stop(control, "by stop()") if present.stopped else control
             command = replace(snapshot.command, u=holds)
-            self._memory = replace(snapshot, control=control, command=command, halted=present.halted)
+            self._memory = replace(
+                snapshot, control=control, command=command, halted=present.halted, inputs=present.inputs
+            )
 
 
 def within_limits(model: TwoAxisModel, settings: TwoAxisLimitsSettings | None) -> TwoAxisModel:

@@ -18,7 +18,7 @@ from google.protobuf.message import DecodeError  # type: ignore[import-untyped] 
 from numpy.typing import NDArray
 
 from hystmpc.trials.errors import ModelError
-from hystmpc.trials.trial import MOST_AXES
+from hystmpc.trials.trial import MOST_COMMANDS, MOST_INPUTS
 from hystmpc.trials.types import Vec
 
 from ..model import LoadedModel
@@ -100,7 +100,8 @@ def _check_interface(graph: onnx.GraphProto, state_size: int, where: str) -> Gra
     inputs = [value for value in graph.input if value.name not in weights]
     first = inputs[0].type.tensor_type.elem_type if inputs else onnx.TensorProto.FLOAT
     dtype = _TYPES.get(first, np.dtype(np.float32))
-    sizes = GraphSizes(dtype, state_size, _width(inputs, "u", 2 * MOST_AXES), _width(graph.output, "theta", MOST_AXES))
+    widths = _width(inputs, "u", MOST_COMMANDS + MOST_INPUTS), _width(graph.output, "theta", MOST_COMMANDS)
+    sizes = GraphSizes(dtype, state_size, *widths)
     tensors = {"u": sizes.inputs, "state": state_size}, {"theta": sizes.outputs, "next_state": state_size}
     for kind, values, expected in zip(("inputs", "outputs"), (inputs, graph.output), tensors, strict=True):
         got = sorted(_signature(value) for value in values)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +19,7 @@ from ..evaluate import (
     TrialEvaluation,
     errors_of,
     free_run,
+    inputs_for,
     outside_share,
     require_rate_and_units,
     started,
@@ -30,7 +32,7 @@ _MOVES = 0.1  # of its identified range: the start of an axis that travels less 
 
 
 def evaluate_two_axes(model: TwoAxisModel, trial: Trial, skip_first_flexure: bool = False) -> TrialEvaluation:
-    """Evaluate the free run of a model over one trial of two commands (T, 2) and two angles (T, 2).
+    """Evaluate the free run of a model over one trial of commands (T, n) and two angles (T, 2).
 
     The tip's error is the length of that of both angles, so RMSE_tip^2 = RMSE_x^2 + RMSE_y^2. Where an axis begins in
     motion, the first seconds serve to estimate its state and are not scored (`models.start`).
@@ -43,17 +45,19 @@ def evaluate_two_axes(model: TwoAxisModel, trial: Trial, skip_first_flexure: boo
 
     Raises:
         ModelError: if sample times or units differ, the model has other commands, or its angles are not finite.
-        LogError: if the first flexure is to be skipped and a command that moves never turns.
+        LogError: if the first flexure is to be skipped and a command that moves never turns, or an input is missing.
     """
     require_rate_and_units(trial, model.axes[0].metadata())
-    if (n := len(model.command_limits)) != AXES:
-        raise ModelError(f"{trial.source}: got logs of two commands and a model of {n}, expected the model of `fit`")
-    each = [_axis(trial, trial.commands, trial.angles, i) for i in range(AXES)]
-    drives = [_axis(trial, model.travels(trial.commands), model.in_axes(trial.angles), i) for i in range(AXES)]
+    if (n := len(model.command_limits)) != (got := trial.commands.shape[1]):
+        raise ModelError(f"{trial.source}: got a log of {got} commands and a model of {n}, expected as many of both")
+    travels = model.travels(trial.commands)
+    each = [_axis(trial, trial.commands if n == AXES else travels, trial.angles, i) for i in range(AXES)]
+    drives = [_axis(trial, travels, model.in_axes(trial.angles), i) for i in range(AXES)]
     axes = [ChainModel(axis) for axis in model.axes]
     begun = [_started(axis, drive) for axis, drive in zip(axes, drives, strict=True)]
     held = np.tile(trial.commands[-1], (round(HOLD_S / trial.dt), 1))
-    theta = _run(model, np.vstack([trial.commands, held]), begun)
+    inputs = [inputs_for(axis, drive) for axis, drive in zip(axes, drives, strict=True)]
+    theta = _run(model, np.vstack([trial.commands, held]), begun, inputs)
     if not np.all(np.isfinite(theta)):
         raise ModelError(f"{trial.source}: the model's angles are not finite over these commands")
     moving = [one for one in each if np.ptp(one.command) > 0]
@@ -90,15 +94,15 @@ def _rests(axis: Trial) -> Vec:
     return mask
 
 
-def _run(model: TwoAxisModel, commands: Vec, begun: list[TrialStart]) -> Vec:
-    """Angles (T, 2) [deg] over commands (T, 2), each axis from its start."""
+def _run(model: TwoAxisModel, commands: Vec, begun: Sequence[TrialStart], inputs: Sequence[Mapping[str, Vec]]) -> Vec:
+    """Angles (T, 2) [deg] over commands (T, n), each axis from its start; the last values of inputs hold."""
     early = max(len(begin.approach) for begin in begun)
     ways = [begin.approach or (begin.command,) * early for begin in begun]
     w = np.vstack([np.reshape(ways, (AXES, early)).T, model.travels(commands)])
-    y = [
-        free_run(ChainModel(axis), np.ascontiguousarray(w[:, i]), replace(begin, approach=()))
-        for i, (axis, begin) in enumerate(zip(model.axes, begun, strict=True))
-    ]
+    y = []
+    for i, (axis, begin) in enumerate(zip(model.axes, begun, strict=True)):
+        known = {name: np.pad(z, (early, len(commands) - len(z)), mode="edge") for name, z in inputs[i].items()}
+        y.append(free_run(ChainModel(axis), np.ascontiguousarray(w[:, i]), replace(begin, approach=()), known))
     shared = 0.0 if model.cross_friction is None else model.cross_friction.run(w, model.dt_s)
     return np.asarray((np.stack(y, axis=1) + shared) @ model.turn.T)[early:]
 

@@ -18,7 +18,7 @@ from ..model import FitProgress
 from ..simulator import ChainModel, Simulator
 from .cross import shared_friction
 from .joints import FREE, Chosen, Joint, choose_joint, matrices
-from .model import AXES, CrossFriction, TwoAxisModel
+from .model import AXES, CrossFriction, TwoAxisModel, run_axis
 
 Fits = tuple[Identified, Identified]
 _CHANGED = 0.005  # change of a joint's number after which the axes are identified once more
@@ -64,7 +64,9 @@ def fit_two_axes(
     progress: FitProgress | None = None,
     joint: Chosen | None = None,
 ) -> TwoAxisFit:
-    """Identify a device with two commands and two angles.
+    """Identify a device with n commands and two angles.
+
+    Of more than two commands, such as those of three tendons, the travels by each are identified too.
 
     First the joint of the axes, then a model of each axis by `kind`, then the joint's numbers once more with these
     models, and the friction that both axes share; where these change anything, the axes once more.
@@ -75,9 +77,9 @@ def fit_two_axes(
 
     Args:
         kind: readable kind of model of each axis, such as `auto`.
-        trials: of two commands (T, 2) and two angles (T, 2), one rate and one pair of units.
+        trials: of commands (T, n) and two angles (T, 2), one rate and one pair of units.
         request: of every axis.
-        limits: of both commands; those of the trials where left out.
+        limits: of every command; those of the trials where left out.
         progress: gets the steps of both axes one after the other, and the best error.
         joint: what joins the axes, where it is known.
 
@@ -158,7 +160,7 @@ def _left(axes: tuple[Simulator, Simulator], trials: Sequence[Trial], begun: _Be
     left = []
     for trial, w in zip(trials, travels, strict=True):
         y = trial.angles @ np.linalg.inv(begun.joint.frame).T
-        runs = [ChainModel(axis).run(np.ascontiguousarray(w[:, i]), float(y[0, i])) for i, axis in enumerate(axes)]
+        runs = [run_axis(ChainModel(axis), w[:, i], float(y[0, i]), trial.inputs) for i, axis in enumerate(axes)]
         left.append(y - np.stack(runs, axis=1))
     return travels, left
 
@@ -207,7 +209,7 @@ def _refined(axes: tuple[Simulator, Simulator], trials: Sequence[Trial], begun: 
     models, joint, free = [ChainModel(axis) for axis in axes], begun.joint, list(FREE[begun.joint.name])
     if not free:
         return begun
-    straight = joint.mix @ np.linalg.inv(joint.order)
+    straight = joint.mix @ np.linalg.pinv(joint.order)
     start = np.array([straight[0, 1], straight[1, 0], joint.frame[0, 1], joint.frame[1, 0]])
 
     def error(values: Vec) -> Vec:
@@ -217,7 +219,7 @@ def _refined(axes: tuple[Simulator, Simulator], trials: Sequence[Trial], begun: 
         left = []
         for trial in trials:
             w, y = trial.commands @ (mix @ joint.order).T, np.linalg.solve(frame, trial.angles.T)
-            runs = [model.run(np.ascontiguousarray(w[:, i]), float(y[i, 0])) for i, model in enumerate(models)]
+            runs = [run_axis(model, w[:, i], float(y[i, 0]), trial.inputs) for i, model in enumerate(models)]
             left.append((frame @ (np.stack(runs) + begun.shared(w, trial.dt).T - y)).ravel())
         return np.concatenate(left)
 
@@ -237,7 +239,7 @@ def _assembled(
 ) -> TwoAxisFit:
     u = np.vstack([trial.commands for trial in trials])
     rates = np.max([np.abs(np.diff(trial.commands, axis=0)).max(0) / trial.dt for trial in trials], axis=0)
-    given = [*limits, *[DeviceLimits()] * AXES][:AXES]
+    given = [*limits, *[DeviceLimits()] * u.shape[1]][: u.shape[1]]
     ranges = tuple(
         one.command or Range(lower=float(u[:, k].min()), upper=float(u[:, k].max())) for k, one in enumerate(given)
     )
@@ -252,6 +254,6 @@ def _assembled(
         tried,
         begun.cross,
     )
-    errors = [model.run(trial.commands, trial.angles[0]) - trial.angles for trial in trials]
+    errors = [model.run(trial.commands, trial.angles[0], trial.inputs) - trial.angles for trial in trials]
     rmse = np.sqrt(np.mean(np.vstack(errors) ** 2, axis=0))
     return TwoAxisFit(model, fits, begun.joint.name, tried, rmse, any(fit.interrupted for fit in fits))

@@ -2,19 +2,21 @@
 
     w = M u,    y_i = f_i(w_i),    theta = A y,    M = [[1, m_x], [m_y, 1]] P,    A = [[1, a_x], [a_y, 1]]
 
-P exchanges and mirrors commands so that every axis rises with its first one. The four numbers minimise the error of a
+P exchanges and mirrors commands so that every axis rises with its first one; of more than two commands, such as those
+of tendons, it has the travels that a line by all of them gives. The four numbers minimise the error of a
 model that is linear in plays and lags of w_i, whose weights follow by least squares (variable projection, Golub and
 Pereyra, SIAM J. Numer. Anal. 10 (1973)). Hysteresis tells M from A: of memoryless linear axes only A M is known.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.optimize import least_squares
 
+from hystmpc.trials.axes import pulls
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Mask, Vec, lagged
@@ -43,8 +45,8 @@ class Joint:
 
     Attributes:
         name: `none`, `tendons` (M), `frame` (A) or `both`.
-        order: P (2, 2), of entries 0, 1 and -1.
-        mix, frame: M (2, 2) and A (2, 2).
+        order: P (2, n); of two commands it has entries 0, 1 and -1.
+        mix, frame: M (2, n) and A (2, 2).
     """
 
     name: str
@@ -76,18 +78,21 @@ FREE = {"none": (), "tendons": (0, 1), "frame": (2, 3), "both": (0, 1, 2, 3)}
 
 
 def choose_joint(trials: Sequence[Trial]) -> Chosen:
-    """Joint of two axes from trials of two commands and two angles.
+    """Joint of two axes from trials of commands (T, n) and two angles (T, 2).
 
     Each joint is identified without one part of the trials after another and judged there. Of those whose mean square
     error is within one standard error, or a tenth, of the least one, the one of fewest numbers is kept.
 
     Raises:
-        FitError: if a trial has not two commands and two angles, or an angle does not follow the commands.
+        FitError: if a trial has not two angles, one command alone, or others than the first trial, or an angle does
+            not follow the commands.
     """
+    count = trials[0].commands.shape[1]
     for trial in trials:
-        if trial.commands.shape[1] != AXES or trial.angles.shape[1] != AXES:
-            n, m = trial.commands.shape[1], trial.angles.shape[1]
-            raise FitError(f"{trial.source}: got {n} commands and {m} angles, expected two of each")
+        n, m = trial.commands.shape[1], trial.angles.shape[1]
+        if n != count or n < AXES or m != AXES:
+            wanted = "two of each" if count <= AXES else f"{count} commands and two angles"
+            raise FitError(f"{trial.source}: got {n} commands and {m} angles, expected {wanted}")
     order = _order(trials)
     data = _Data.of(trials, order)
     parts, all_ = np.array_split(np.arange(data.samples), _PARTS), np.ones(data.samples, dtype=bool)
@@ -118,12 +123,12 @@ def matrices(q: Vec) -> tuple[Vec, Vec]:
 
 
 def _order(trials: Sequence[Trial]) -> Vec:
-    """P (2, 2): which command each axis follows first, and whether it is mirrored."""
+    """P (2, n): which of two commands each axis follows first, and whether it is mirrored; of more, their pulls."""
     u, theta = (
         np.vstack([getattr(t, name) - getattr(t, name).mean(0) for t in trials]) for name in ("commands", "angles")
     )
     if np.any(u.std(0) == 0):
-        raise FitError("two axes: got a command that does not move, expected motion of both")
+        raise FitError("two axes: got a command that does not move, expected motion of every one")
     gains = np.linalg.lstsq(u, theta, rcond=None)[0].T
     left = (theta - u @ gains.T).var(0) / np.maximum(theta.var(0), 1e-30)
     if np.any(left > 1 - _LEAST_LINK):
@@ -131,6 +136,8 @@ def _order(trials: Sequence[Trial]) -> Vec:
         raise FitError(
             f"two axes: angle {which} does not follow the commands, {left.max():.0%} of it is left by a line"
         )
+    if u.shape[1] > AXES:
+        return _refined_pulls(trials, pulls(u, theta))
     sizes = np.abs(gains * u.std(0))
     straight = sizes[0, 0] * sizes[1, 1] >= sizes[0, 1] * sizes[1, 0]
     places = ((0, 0), (1, 1)) if straight else ((0, 1), (1, 0))
@@ -140,9 +147,28 @@ def _order(trials: Sequence[Trial]) -> Vec:
     return order
 
 
+def _refined_pulls(trials: Sequence[Trial], start: Vec) -> Vec:
+    """Travels by every command (2, n) of least error of the linear model of each axis, searched from others."""
+    count = start.shape[1]
+    data = _Data.of(trials, np.eye(count))
+    rows = []
+    for row, angle in zip(start, data.angles, strict=True):
+
+        def of(values: Vec, row: Vec = row) -> Vec:  # 1 is the start; a change by 1 is one by the size of the row
+            moved = row + np.sqrt(2 / count) * (values - 1.0)
+            return np.asarray(np.sqrt(2 / count) * moved / np.linalg.norm(moved))
+
+        def error(values: Vec, of: Callable[[Vec], Vec] = of, angle: Vec = angle) -> Vec:
+            columns = columns_of([of(values) @ commands for commands in data.commands], data.dts)
+            return np.asarray(angle - columns @ weights_of(columns, angle))
+
+        rows.append(of(least_squares(error, np.ones(count), diff_step=1e-3, max_nfev=12).x))
+    return np.stack(rows)
+
+
 @dataclass(frozen=True, eq=False)
 class _Data:
-    """Signals of all trials on their own grids, one behind the other: commands (2, T) behind P, angles (2, T)."""
+    """Signals of all trials on their own grids, one behind the other: P u (2, T), angles (2, T)."""
 
     commands: list[Vec]
     angles: Vec

@@ -19,16 +19,16 @@ from hystmpc.trials.brief import in_brief
 from hystmpc.trials.config import NotNegative, Positive, Settings, dump_yaml, read_yaml
 from hystmpc.trials.errors import ConfigError, ModelError, shown
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.trial import MOST_COMMANDS
 from hystmpc.trials.types import Vec
 
 from ..contract.metadata import Range, Rate
+from ..model import NO_INPUTS
+from ..scheduled import MeasuredInput
 from ..simulator import ChainModel, Simulator, simulator_from, simulator_spec
 
 FORMAT = "hystmpc-two-axes/1"
 AXES = 2
-MOST_COMMANDS = 6
-"""Most tendons or chambers of a device, as in core/axes.h."""
-
 _SINGULAR = 0.05  # least ratio of singular values: below, two axes are hardly two
 _ROUNDING = 1e-9
 _MOST_LATE = constants()["HYSTMPC_CROSS_LATE"]
@@ -161,7 +161,9 @@ class TwoAxisModel:
         n = len(self.command_limits)
         sizes = {len(row) for row in self.mix} | {len(self.command_rates_per_s), len(self.rest_commands)}
         if sizes != {n} or not AXES <= n <= MOST_COMMANDS or len(self.mix) != AXES:
-            raise ModelError(f"two axes: got sizes {sorted(sizes)} for {n} commands, expected as many of each, 2 to 6")
+            raise ModelError(
+                f"two axes: got sizes {sorted(sizes)} for {n} commands, expected as many of each, 2 to {MOST_COMMANDS}"
+            )
         if [len(row) for row in self.frame] != [AXES] * AXES:
             raise ModelError("two axes: got a frame of another shape, expected (2, 2)")
         for name, matrix in (("mix", self.mix), ("frame", self.frame)):
@@ -175,8 +177,6 @@ class TwoAxisModel:
         x, y = self.axes
         if (x.dt_s, x.command_unit, x.angle_unit) != (y.dt_s, y.command_unit, y.angle_unit):
             raise ModelError("two axes: got axes of different sample times or units, expected the same of both")
-        if inputs := (*x.chain.inputs, *y.chain.inputs):
-            raise ModelError(f"two axes: an axis depends on the input {inputs[0].name}, expected no input of two axes")
 
     def __repr__(self) -> str:
         return in_brief(self, f"{len(self.command_limits)} commands, 2 angles, every {self.dt_s:.4g} s: {self.axes}")
@@ -201,6 +201,16 @@ class TwoAxisModel:
     def turn(self) -> Vec:
         """A (2, 2)."""
         return np.array(self.frame, dtype=np.float64)
+
+    @property
+    def inputs(self) -> tuple[MeasuredInput, ...]:
+        """Measured inputs on which an axis depends, each once, with the range of both axes together."""
+        made: dict[str, MeasuredInput] = {}
+        for one in (given for axis in self.axes for given in axis.chain.inputs):
+            known = made.setdefault(one.name, one)
+            ends = {"lower": min(known.lower, one.lower), "upper": max(known.upper, one.upper)}
+            made[one.name] = replace(known, **ends)
+        return tuple(made.values())
 
     @property
     def joined(self) -> bool:
@@ -237,8 +247,11 @@ class TwoAxisModel:
             made.append((float(ends[0] - slack), float(ends[1] + slack), rate))
         return made[0], made[1]
 
-    def run(self, commands: ArrayLike, start_deg: ArrayLike) -> Vec:
+    def run(self, commands: ArrayLike, start_deg: ArrayLike, inputs: Mapping[str, Vec] = NO_INPUTS) -> Vec:
         """Free run (T, 2) [deg] over commands (T, n), from the rest at the first of them that shows `start_deg` (2,).
+
+        Args:
+            inputs: measured inputs (T,) by name; their references where left out.
 
         Raises:
             ModelError: if the shapes do not fit.
@@ -252,7 +265,7 @@ class TwoAxisModel:
         w = self.travels(u)
         shared = np.zeros(w.shape) if self.cross_friction is None else self.cross_friction.run(w, self.dt_s)
         begin = self.in_axes(start) - shared[0]
-        y = [ChainModel(f).run(np.ascontiguousarray(w[:, i]), float(begin[i])) for i, f in enumerate(self.axes)]
+        y = [run_axis(ChainModel(axis), w[:, i], float(begin[i]), inputs) for i, axis in enumerate(self.axes)]
         return np.asarray((np.stack(y, axis=1) + shared) @ self.turn.T)
 
     def with_tendons(
@@ -270,7 +283,7 @@ class TwoAxisModel:
         Tendons at 0 deg pull by x, at 90 deg by y. This model has the two commands C u.
 
         Args:
-            angles_deg: of the tendons, three to six of them.
+            angles_deg: of the tendons, three to nine of them.
             pretension: command of every tendon at rest.
             limits: least and greatest command of each; a tendon is slack below the least one.
             rates_per_s: greatest change of each per second.
@@ -280,7 +293,9 @@ class TwoAxisModel:
         """
         phi, n = np.deg2rad(np.asarray(angles_deg, dtype=np.float64)), len(angles_deg)
         if len(self.command_limits) != AXES or not AXES < n <= MOST_COMMANDS or {len(limits), len(rates_per_s)} != {n}:
-            raise ModelError(f"with_tendons: got {n} tendons, {len(limits)} limits, expected three to six of each")
+            raise ModelError(
+                f"with_tendons: got {n} tendons, {len(limits)} limits, expected 3 to {MOST_COMMANDS} of each"
+            )
         mix = self.matrix @ (2 / n * np.stack([np.cos(phi), np.sin(phi)]))
         return replace(
             self,
@@ -304,6 +319,12 @@ class TwoAxisModel:
             comparison=dict(self.comparison),
         )
         return write_atomically(path, dump_yaml(file.model_dump(mode="json", exclude_none=True)))
+
+
+def run_axis(axis: ChainModel, travel: Vec, start_deg: float, inputs: Mapping[str, Vec]) -> Vec:
+    """Free run y (T,) [deg] of one axis over its travel w (T,), with those inputs (T,) on which it depends."""
+    known = {one.name: inputs[one.name] for one in axis.inputs if one.name in inputs}
+    return axis.run(np.ascontiguousarray(travel), start_deg, known)
 
 
 def has_two_axes(path: Path | str) -> bool:

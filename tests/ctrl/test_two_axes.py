@@ -19,6 +19,7 @@ from hystmpc.ctrl.two_axes.guarded import TwoAxisController
 from hystmpc.ctrl.two_axes.tip_controller import TwoAxisTipController, TwoAxisTipSettings
 from hystmpc.models.contract.metadata import NoiseModel
 from hystmpc.models.prediction.build import controller_model
+from hystmpc.models.scheduled import Dependence, MeasuredInput, Scheduled
 from hystmpc.models.simulator import ChainModel, Simulator
 from hystmpc.models.two_axes.model import CrossFriction, TwoAxisModel
 from hystmpc.trials.errors import ConfigError, ControllerError, ModelError
@@ -229,6 +230,54 @@ def test_the_state_of_another_controller_is_refused(other: dict[str, Any]) -> No
     ):
         with pytest.raises(ControllerError, match="cut off, or of another controller"):
             use()
+
+
+@pytest.mark.parametrize("given_", KINDS, ids=[kind["kind"] for kind in KINDS])
+def test_a_controller_that_is_given_an_input_plans_with_the_device_there(given_: dict[str, Any]) -> None:
+    """Its commands are those of a controller whose model has the parameters at this value."""
+    z, u = 3.5, np.zeros(2)
+    depending = two_axes(((1.0, 0.2), (-0.1, 1.0)))
+    core = depending.axes[1].chain.core
+    axes = [
+        replace(depending.axes[1], chain=replace(depending.axes[1].chain, core=one))
+        for one in (
+            Scheduled.of(core, (Dependence(MeasuredInput("bar", 2.0, 1.0, 4.0), "gain"),), (-0.1,)),
+            core.with_values([(1 - 0.1 * (z - 2.0)) * v if p.name.startswith("a") and p.name != "alpha" else v
+                              for p, v in zip(core.parameters, core.values, strict=True)]),
+        )
+    ]  # fmt: skip
+    given_ = {**given_, "adaptation": None} if given_["kind"].endswith("mpc") else given_
+    one, other = (
+        controller_of(replace(depending, axes=(noisy(depending.axes[0]), noisy(axis))), given_) for axis in axes
+    )
+    first, second = one.init(u, u), other.init(u, u)
+    wanted = np.stack([np.linspace(0, 12, one.horizon), np.linspace(0, -9, one.horizon)], axis=1)
+    for k in range(40):
+        first = one.with_inputs(first, {"bar": z})
+        angles = np.array([0.2 * k, -0.15 * k])
+        (a, first), (b, second) = one.step(first, angles, wanted + angles), other.step(second, angles, wanted + angles)
+        if k > 4:  # each began at rest at its own reference value
+            np.testing.assert_allclose(a.u, b.u, atol=0.02 if given_["kind"] != "sampling_mpc" else 0.4)
+    with pytest.raises(ControllerError, match="no input 'baar'"):
+        one.with_inputs(first, {"baar": 1.0})
+
+
+def test_inputs_of_a_tip_are_held_and_said() -> None:
+    axis = two_axes().axes[0]
+    core = Scheduled.of(axis.chain.core, (Dependence(MeasuredInput("bar", 2.0, 1.0, 4.0), "gain"),), (-0.1,))
+    model = replace(two_axes(), axes=(replace(axis, chain=replace(axis.chain, core=core)), two_axes().axes[1]))
+    tip, other = (TwoAxisTipController(model, TwoAxisTipSettings(model="-")) for _ in range(2))
+    for one in (tip, other):
+        one.set_target((10.0, 5.0))
+    statuses = [one.step((0.0, 0.0), inputs=given_).status for one, given_ in ((tip, {"bar": 3.0}), (other, None))]
+    assert statuses[0] == "ok"
+    assert other.step((0.1, 0.1)).status == "inputs: none given of bar 2, the identified value counts"
+    assert "inputs: none given" not in other.step((0.2, 0.1)).status
+    answers = [
+        one.step((0.3, 0.2), inputs=given_) for one, given_ in ((tip, {"bar": float("nan")}), (other, {"bar": 3.0}))
+    ]
+    assert "its last value holds" in answers[0].status
+    assert dict(tip.snapshot().inputs) == dict(other.snapshot().inputs) == {"bar": 3.0}  # type: ignore[attr-defined]
 
 
 def test_an_axis_that_stops_stops_the_other() -> None:

@@ -14,12 +14,14 @@ from hystmpc.core.library import engine
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.kinds.kind import FitRequest
+from hystmpc.models.scheduled import Dependence, MeasuredInput, Scheduled
 from hystmpc.models.simulator import ChainModel
 from hystmpc.models.two_axes.cross import shared_friction
+from hystmpc.models.two_axes.evaluate import evaluate_two_axes
 from hystmpc.models.two_axes.identify import fit_two_axes
 from hystmpc.models.two_axes.joints import choose_joint
-from hystmpc.models.two_axes.model import CrossFriction, TwoAxisModel, has_two_axes, load_two_axes
-from hystmpc.trials.errors import FitError, ModelError
+from hystmpc.models.two_axes.model import CrossFriction, TwoAxisModel, has_two_axes, load_two_axes, run_axis
+from hystmpc.trials.errors import FitError, LogError, ModelError
 from hystmpc.trials.trial import Trial
 
 from .two_axis_examples import COUPLED, IDENTITY, RATE, REACH, SHARED, Vec, recorded, two_axes, wandering
@@ -205,6 +207,73 @@ def test_trials_that_tell_nothing_of_a_second_axis_are_refused_in_a_line() -> No
         with pytest.raises(FitError, match=words) as refused:
             choose_joint([trial])
         assert len(str(refused.value)) <= 300
+
+
+@pytest.mark.parametrize("at_deg", [(10.0, 130.0, 250.0), (0.0, 80.0, 180.0, 270.0)])
+def test_tendons_at_unknown_angles_are_identified(at_deg: tuple[float, ...]) -> None:
+    """The error on a motion left out is near that of a fit which is told where the tendons are."""
+    n, random = len(at_deg), np.random.default_rng(4)
+    device = two_axes().with_tendons(at_deg, pretension=1.0, limits=[(-2, 5)] * n, rates_per_s=[2 * RATE] * n)
+    recorded_, told = [], []
+    for seed in range(4):
+        ways = np.arange(1000)[:, None] * (1 + 0.3 * np.arange(n)) / 60  # no two tendons alike
+        u = device.commands(wandering(seed)) + 0.3 * np.sin(ways + seed)
+        angles = device.run(u, np.zeros(2)) + 0.05 * random.standard_normal((1000, 2))
+        recorded_.append(Trial(0.04 * np.arange(1000), u, angles))
+        told.append(Trial(0.04 * np.arange(1000), device.travels(u), angles))
+    fit, exact = (fit_two_axes(kind_named("pi"), trials[:3], FitRequest()) for trials in (recorded_, told))
+    errors = [
+        evaluate_two_axes(one.model, trials[3]).errors.rmse_deg for one, trials in ((fit, recorded_), (exact, told))
+    ]
+    assert errors[0] < 1.2 * errors[1]
+    assert fit.model.matrix.shape == (2, n)
+    got, true = (m / np.linalg.norm(m, axis=1, keepdims=True) for m in (fit.model.matrix, device.matrix))
+    np.testing.assert_allclose(got, true, atol=0.02)
+
+
+BAR = MeasuredInput("bar", 2.0, 1.0, 4.0)
+
+
+def depending() -> TwoAxisModel:
+    """Axis y has more friction under a higher pressure."""
+    x, y = two_axes().axes
+    core = Scheduled.of(y.chain.core, (Dependence(BAR, "friction"), Dependence(BAR, "gain")), (0.4, -0.1))
+    return replace(two_axes(((1.0, 0.2), (-0.1, 1.0))), axes=(x, replace(y, chain=replace(y.chain, core=core))))
+
+
+@given(st.floats(1.0, 4.0))
+def test_at_a_constant_input_the_device_is_that_with_the_parameters_there(z: float) -> None:
+    model, u = depending(), wandering(7, 300)
+    axes = [replace(axis, chain=axis.chain.at_inputs({"bar": z})) for axis in model.axes]
+    bar = {"bar": np.full(300, z)}
+    there = [run_axis(ChainModel(axis), model.travels(u)[:, i], 0.0, bar) for i, axis in enumerate(axes)]
+    np.testing.assert_allclose(model.run(u, np.zeros(2), bar), np.stack(there, axis=1))
+    trial = Trial(0.04 * np.arange(300), u, np.stack(there, axis=1), inputs=bar)
+    assert evaluate_two_axes(model, trial).errors.rmse_deg < 1e-9
+    assert [one.name for one in model.inputs] == ["bar"]
+
+
+def test_a_log_without_the_input_of_the_model_is_one_line() -> None:
+    trial = recorded(two_axes(), range(1))[0]
+    with pytest.raises(LogError, match="no input 'bar'") as refused:
+        evaluate_two_axes(depending(), trial)
+    assert len(str(refused.value)) <= 300
+
+
+def test_inputs_reach_the_identification_of_each_axis() -> None:
+    """So `auto` may depend on them; kinds that cannot refuse them in one line."""
+    trial = recorded(two_axes(), range(1))[0]
+    given_ = Trial(trial.t, trial.commands, trial.angles, inputs={"bar": np.full(len(trial), 2.0)})
+    with pytest.raises(FitError, match="got the input bar, expected none") as refused:
+        fit_two_axes(kind_named("backlash"), [given_], FitRequest())
+    assert len(str(refused.value)) <= 300
+
+
+def test_a_file_keeps_what_depends_on_an_input(tmp_path: Path) -> None:
+    model, u = depending(), wandering(9, 200)
+    again, bar = load_two_axes(model.save(tmp_path / "both.yaml")), {"bar": np.linspace(1.0, 4.0, 200)}
+    assert again.inputs == model.inputs == (BAR,)
+    np.testing.assert_array_equal(again.run(u, np.zeros(2), bar), model.run(u, np.zeros(2), bar))
 
 
 def test_a_model_is_shown_in_brief() -> None:

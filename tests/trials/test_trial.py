@@ -29,7 +29,7 @@ def make(**changes: object) -> Trial:
         ({"channels": {"pose": np.zeros((3, 1))}}, ["pose has shape (3, 1)"]),
         ({"t": [0], "command": [0], "angle": [0]}, ["1 samples", "at least 2"]),
         ({"t": np.zeros((3, 2))}, ["t has shape (3, 2), expected one dimension (T,)"]),
-        ({"command": np.zeros((3, 7))}, ["command has shape (3, 7)", "at most 6 axes"]),
+        ({"command": np.zeros((3, 10))}, ["command has shape (3, 10)", "at most 9 axes"]),
         ({"angle": [[30, 1], [31, np.inf], [30, 1]]}, ["angle is inf", "sample 1"]),
         ({"inputs": {"pressure_bar": [1, np.nan, 1]}}, ["pressure_bar is nan", "sample 1"]),
         ({"inputs": {"pressure_bar": [1, 1]}}, ["pressure_bar has 2", "expected 3"]),
