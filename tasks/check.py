@@ -73,7 +73,7 @@ def check(
 
     Args:
         logs: logs, data frames or trials.
-        layout: layout of the logs: auto, canonical, two-axes, tendon-catheter, or a mapping file *.yaml.
+        layout: layout of the logs: auto, canonical, two-axes, tendons, tendon-catheter, or a mapping file *.yaml.
         sampled_hz: rate [Hz] of logs sampled evenly; stands in for a broken or missing clock.
         simulator: simulator of a diagnosis: smallest detectable effects, from the commands alone.
         show: called with the findings on each log as soon as they are there.

@@ -150,7 +150,7 @@ def fit(
             oscillator, state_network, lstm, gru, play_kernel; with hystmpc-lab fnn, fnn_hib, hb1, hb2, svr.
         trials: logs, data frames or trials, see `read_trials`.
         out: file to write: .onnx, or .yaml for an operator; it is scored as it is read back.
-        layout: layout of the logs: auto, canonical, two-axes, tendon-catheter, or a mapping file *.yaml.
+        layout: layout of the logs: auto, canonical, two-axes, tendons, tendon-catheter, or a mapping file *.yaml.
         sampled_hz: rate [Hz] of logs sampled evenly; stands in for a broken or missing clock.
         rate_hz: rate [Hz] of the model, to which the logs are resampled; 25 if left out.
         skip_first_flexure: count each trial only from the command's first reversal on.

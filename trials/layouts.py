@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from fnmatch import fnmatch
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import ConfigDict, Field, model_validator
@@ -246,12 +246,13 @@ LOG_TIME, HEADER_TIME = "log", "header"
 
 
 class SignalSettings(Settings):
-    """One signal: value = scale * (logged - minus) + offset, in `unit`.
+    """One signal: value = scale * (logged - minus + plus) + offset, in `unit`.
 
     Attributes:
         signal: its name in the log: a column, a MATLAB variable (`run.tip`, `data[1]`), or topic and field
             (`/joints.position[0]`, `/joints.position[tendon]`); indices count from 0.
         minus: a signal of the same time stamps that is taken from it: the second of two opposed chambers or tendons.
+        plus: one that is added to it instead: the sum of such a pair is its co-contraction.
         scale, offset: applied to the logged number; the result is in `unit`.
         hold: the value stays until the next one (a command), instead of being interpolated (a measurement).
         missing: logged numbers, such as -9999, that stand for no value; these samples are left out.
@@ -263,6 +264,7 @@ class SignalSettings(Settings):
 
     signal: Annotated[str, Field(min_length=1)]
     minus: Annotated[str, Field(min_length=1)] | None = None
+    plus: Annotated[str, Field(min_length=1)] | None = None
     scale: float = 1.0
     offset: float = 0.0
     hold: bool = False
@@ -277,6 +279,17 @@ class SignalSettings(Settings):
         if isinstance(data, dict) and isinstance(data.get("unit"), str):
             return data | {"unit": unit_of(data["unit"])}
         return {"signal": data} if isinstance(data, str) else data
+
+    @model_validator(mode="after")
+    def _difference_or_sum(self) -> Self:
+        if self.minus is not None and self.plus is not None:
+            raise ValueError(f"got minus {self.minus!r} and plus {self.plus!r}, expected one of them")
+        return self
+
+    @property
+    def second(self) -> str | None:
+        """The signal that is taken from this one, or added to it."""
+        return self.minus or self.plus
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core: Any, handler: Any) -> dict[str, Any]:

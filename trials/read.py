@@ -140,7 +140,7 @@ def read_unchecked(
     """
     layout = resolve(layout)
     if isinstance(layout, LogMapping):
-        names = (name for signal in layout.signals() for name in (signal.signal, signal.minus or signal.signal))
+        names = (name for signal in layout.signals() for name in (signal.signal, signal.second or signal.signal))
         return _read_mapped(_open(log, (layout.time, *names)), layout, sampled_hz)
     if _is_table(log):
         return read_columns(log, layout, sampled_hz)

@@ -147,19 +147,19 @@ def read_mapped(source: SignalLog, mapping: LogMapping) -> UncheckedLog:
     message; a time signal keeps its origin.
 
     Raises:
-        LogError: if a signal is missing or empty, command and angle have no time in common, or a signal and its `minus`
+        LogError: if a signal is missing or empty, command and angle share no time, or a signal and its second one
             have different time stamps.
     """
     wanted = [signal.signal for signal in mapping.signals()]
     timed_by_signal = mapping.rate_hz is None and mapping.time not in (LOG_TIME, HEADER_TIME)
-    taken = [signal.minus for signal in mapping.signals() if signal.minus is not None]
+    taken = [signal.second for signal in mapping.signals() if signal.second is not None]
     logged = source.series([*wanted, *taken], mapping.time if mapping.rate_hz is None else LOG_TIME)
     for name, series in zip([*wanted, *taken], logged, strict=True):
         if not series.values.size:
             note = f" ({source.note})" if source.note else ""
             raise LogError(f"{source.path}: signal {name!r} is empty, expected samples{note}")
-    owners = [*mapping.signals(), *(signal for signal in mapping.signals() if signal.minus is not None)]
-    logged = _differences(source.path, mapping, [_decoded(s, owner) for s, owner in zip(logged, owners, strict=True)])
+    owners = [*mapping.signals(), *(signal for signal in mapping.signals() if signal.second is not None)]
+    logged = _combined(source.path, mapping, [_decoded(s, owner) for s, owner in zip(logged, owners, strict=True)])
     if mapping.rate_hz is not None:
         logged = [Series(np.arange(s.values.size) / mapping.rate_hz, s.values, s.left_out) for s in logged]
     elif timed_by_signal:
@@ -266,21 +266,21 @@ def _enter(value: Any, step: str | int, owner: Any) -> Any:
     return value[step] if -len(value) <= step < len(value) else KeyError
 
 
-def _differences(path: str, mapping: LogMapping, logged: Sequence[Series]) -> list[Series]:
-    """Signals of the mapping after subtraction of each `minus`, which are at the end of `logged`, in order."""
+def _combined(path: str, mapping: LogMapping, logged: Sequence[Series]) -> list[Series]:
+    """Signals of the mapping, each with its second one, which are at the end of `logged`, in order."""
     signals = mapping.signals()
     taken = iter(logged[len(signals) :])
     left = []
     for settings, series in zip(signals, logged, strict=False):
-        if settings.minus is not None:
-            other = next(taken)
+        if settings.second is not None:
+            other, sign = next(taken), 1.0 if settings.plus is not None else -1.0
             if not np.array_equal(other.t, series.t, equal_nan=True):
                 raise LogError(
-                    f"{path}: {settings.signal!r} and {settings.minus!r} have other time stamps, "
-                    "expected a difference of two fields of one message"
+                    f"{path}: {settings.signal!r} and {settings.second!r} have other time stamps, "
+                    f"expected a {'difference' if sign < 0 else 'sum'} of two fields of one message"
                 )
             both = None if series.left_out is None or other.left_out is None else series.left_out | other.left_out
-            series = Series(series.t, series.values - other.values, both)
+            series = Series(series.t, series.values + sign * other.values, both)
         left.append(series)
     return left
 

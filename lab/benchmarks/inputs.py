@@ -1,11 +1,15 @@
 """Errors at values of a measured input that a fit has not seen, beside those of a model that was fitted there.
 
-    python lab/benchmarks/inputs.py [--seals FOLDER] [--seal O-ring] [--levels 1 1.33 1.67 2] [--withheld 1.17 1.5 1.83]
+    python lab/benchmarks/inputs.py [--pair] [--seals FOLDER] [--seal O-ring] [--levels 1 1.33 1.67 2]
+        [--withheld 1.17 1.5 1.83]
 
 Without a folder: the simulated tendon catheter, whose friction is proportional to the input and doubles over its
 range. It is made of 40 friction elements with a rough tendon: no operator is that device. With a folder: recorded seals
 of that name. Each pressure is withheld in turn; the fit is told the range of all. `fitted there` is identified from the
-first 60 % of the withheld file. Both models are scored on the rest of it, less the mean error.
+first 60 % of the withheld file. Both models are scored on the rest of it, less the mean error. With `--pair` the same
+catheter is pulled by two opposed tendons: the command is their difference, and the input their sum z, the
+co-contraction. It stiffens the joint, so that the catheter gets 2 / (1 + z) of the difference, and its friction is
+proportional to z.
 """
 
 from __future__ import annotations
@@ -52,15 +56,15 @@ def motion(kind: int, seed: int) -> Vec:
     return np.interp(t, at, np.concatenate([[0.2], rng.uniform(0.2, 5.8, 17)]))
 
 
-def recorded(level: float, seeds: Sequence[int]) -> list[Trial]:
-    """Trials of the simulated catheter at one value of the input."""
-    made = []
+def recorded(level: float, seeds: Sequence[int], pair: bool = False) -> list[Trial]:
+    """Trials of the simulated catheter at one value of the input, of one tendon or of an opposed pair."""
+    made, share = [], 2 / (1 + level) if pair else 1.0
     for kind, seed in enumerate(seeds):
         device = named_device("tendon", {"friction": FRICTION * level}, {})
         plant = DevicePlant(device, Effects(noise_deg=0.05), DT_S, seed=seed)
         u = motion(kind % 2, seed)
         first, source = plant.reset(), f"{level:g}, {seed}"
-        y = np.array([first, *(plant.apply(float(v)) for v in u[:-1])])
+        y = np.array([first, *(plant.apply(share * float(v)) for v in u[:-1])])
         t, inputs = DT_S * np.arange(u.size), {NAME: np.full(u.size, level)}
         made.append(Trial(t, np.r_[u[0], u[:-1]], y, units=Units("mm", "deg"), source=source, inputs=inputs))
     return made
@@ -79,15 +83,15 @@ def errors(seen: Sequence[Trial], tests: Sequence[Trial], with_input: bool, befo
     return np.array([run.errors.offset_free_rmse_deg for run in runs])
 
 
-def simulated(levels: Sequence[float], withheld: Sequence[float]) -> list[tuple[str, Vec, Vec, Vec]]:
+def simulated(levels: Sequence[float], withheld: Sequence[float], pair: bool) -> list[tuple[str, Vec, Vec, Vec]]:
     """Rows: value, errors with the input, without it, and fitted there."""
-    seen = [trial for k, level in enumerate(levels) for trial in recorded(level, (2 * k, 2 * k + 1))]
-    tests = {level: recorded(level, (100, 101)) for level in withheld}
+    seen = [trial for k, level in enumerate(levels) for trial in recorded(level, (2 * k, 2 * k + 1), pair)]
+    tests = {level: recorded(level, (100, 101), pair) for level in withheld}
     every = [trial for level in withheld for trial in tests[level]]
     known, unknown = (errors(seen, every, with_input) for with_input in (True, False))
     rows = []
     for k, level in enumerate(withheld):
-        there = errors(recorded(level, (50, 51, 52, 53)), tests[level], False)
+        there = errors(recorded(level, (50, 51, 52, 53), pair), tests[level], False)
         rows.append((f"{level:g}", known[2 * k : 2 * k + 2], unknown[2 * k : 2 * k + 2], there))
     return rows
 
@@ -117,12 +121,13 @@ def main() -> int:
     """Print a row for each withheld value."""
     given = asked(
         __doc__,
+        pair=False,
         seals={"type": Path},
         seal={"default": "O-ring"},
         levels={"type": float, "nargs": "+", "default": [1.0, 1.33, 1.67, 2.0]},
         withheld={"type": float, "nargs": "+", "default": [1.17, 1.5, 1.83]},
     )
-    rows = seals(given.seals, given.seal) if given.seals else simulated(given.levels, given.withheld)
+    rows = seals(given.seals, given.seal) if given.seals else simulated(given.levels, given.withheld, given.pair)
     print(f"{'withheld':>16} {'with input':>12} {'without':>12} {'fitted there':>12} {'over that':>10}")
     for name, *of_models in rows:
         known, unknown, there = (float(np.sqrt(np.mean(values**2))) for values in of_models)

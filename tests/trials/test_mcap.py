@@ -218,6 +218,18 @@ def test_a_command_may_be_the_difference_of_two_signals(tmp_path: Path) -> None:
         read_log(log, mapping(command={"signal": "/a.u", "minus": "/b.u"}, angle="/b.u"))
 
 
+def test_an_antagonistic_pair_is_a_difference_and_a_sum(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("t,pa,pb,q\n0,100,300,1\n0.1,200,250,2\n0.2,350,90,3\n")
+    pair = {"signal": "pa", "minus": "pb", "unit": "kPa"}
+    both = {"sum_bar": {"signal": "pa", "plus": "pb", "scale": 0.01}}
+    trial = read_log(path, mapping(time="t", command=pair, angle="q", inputs=both))
+    assert trial.command.tolist() == [-200, -50, 260]
+    np.testing.assert_allclose(trial.inputs["sum_bar"], [4, 4.5, 4.4])
+    with pytest.raises(ConfigError, match="got minus 'pb' and plus 'pb', expected one of them"):
+        mapping(time="t", command={**pair, "plus": "pb"}, angle="q")
+
+
 def test_a_folder_stands_for_its_tables_and_else_for_its_other_logs(tmp_path: Path) -> None:
     write_json(tmp_path / "b.mcap", ONE_TOPIC)
     write_json(tmp_path / "a.mcap", ONE_TOPIC)
