@@ -239,7 +239,8 @@ class BenchDevice(MovableDevice):
         def sink() -> Sink:
             if folder is None:
                 return kept
-            meta = RecordingMeta(settings.command_unit, stages=("total", "execution"), axes=len(settings.axes_limits))
+            axes, stages = len(settings.axes_limits), ("total", "execution")
+            meta = RecordingMeta(settings.command_unit, stages=stages, axes=axes, inputs=settings.inputs)
             rate, note = settings.rate_hz, self._note
             return Tee(kept, open_recorder_process(folder, settings, meta, rate, self._views, note, report=False))
 
@@ -349,6 +350,7 @@ def make_plant(settings: Mapping[str, Any], dt_s: float, seed: int, folder: Path
         return _plane_plant(settings, dt_s, seed, folder, unit)
     noise = {"noise_deg": _NOISE_DEG} if "device" in settings else {}
     block = PlantSettings.parse(noise | dict(settings), "plant")
+    block = block.model_copy(update={"inputs": {name: one.in_folder(folder) for name, one in block.inputs.items()}})
     if block.simulator is not None:
         block = block.model_copy(update={"simulator": str(model_path(block.simulator, folder))})
     plant = make(block, dt_s, seed=seed)

@@ -59,6 +59,7 @@ def run(call: Call) -> None:
         models=() if model.startswith("builtin:") else (Path(model),),
         stages=("step", "total", "execution"),
         axes=len(settings.axes_limits),
+        inputs=settings.inputs,
     )
     parts = (
         _recording(call, settings, meta, desk, report=False),  # the review writes the one report there is
@@ -98,7 +99,8 @@ def record(call: Call) -> None:
 
     settings = _begun(call, load_record)
     desk = Desk(settings.live)
-    meta = RecordingMeta(settings.command_unit, stages=("execution",), axes=len(settings.axes_limits))
+    axes, inputs = len(settings.axes_limits), settings.inputs
+    meta = RecordingMeta(settings.command_unit, stages=("execution",), axes=axes, inputs=inputs)
     result = play(
         settings,
         _recording(call, settings, meta, desk),

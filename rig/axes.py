@@ -6,11 +6,12 @@ import math
 from collections.abc import Iterable
 from typing import Annotated, Any
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from hystmpc.ctrl.command import CommandLimits
 from hystmpc.trials.config import OfBothAxes, Positive, Settings
 from hystmpc.trials.layouts import CANONICAL, command_column
+from hystmpc.trials.trial import MOST_INPUTS
 from hystmpc.trials.types import Vec
 
 PerAxis = float
@@ -18,6 +19,23 @@ PerAxis = float
 
 NAMES = ("x", "y")
 """Names of two axes in columns, faults and messages."""
+
+_COLUMNS = frozenset(
+    ("time", "command", "angle", "reference", "predicted", "period", "lateness", "sequence", "wall", "source")
+    + ("status", "faults", "missed", "stage")
+)
+
+
+def _free_names(names: tuple[str, ...]) -> tuple[str, ...]:
+    for k, name in enumerate(names):
+        if name in names[:k] or name.partition("_")[0] in _COLUMNS:
+            raise ValueError(f"got {name}, expected each input once, by a name that begins as no other column of a log")
+    return names
+
+
+InputName = Annotated[str, Field(pattern="^[A-Za-z][A-Za-z0-9_]*$", max_length=40)]
+InputNames = Annotated[tuple[InputName, ...], Field(max_length=MOST_INPUTS), AfterValidator(_free_names)]
+"""Names of the measured inputs of a reading in their order, such as `pressure_bar`; each gets a column of the log."""
 
 
 def each(value: Any) -> tuple[Any, ...]:

@@ -19,7 +19,7 @@ from hystmpc.trials.config import FolderName, NotNegative, Positive, Settings, l
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.from_outside import with_kind
 
-from .axes import each
+from .axes import InputNames, each
 from .experiment.phases import PrepareStep, PretensionSettings
 from .live.desk import LiveSettings
 from .realtime import RealtimeSettings
@@ -47,6 +47,9 @@ TransportSettings = Annotated[
 ]
 
 
+_WITH_INPUTS = ("udp", "simulated", "python")
+
+
 class BenchSettings(Settings):
     """Settings of a bench: device, limits, ramps, sensor, transport, preparation.
 
@@ -68,6 +71,7 @@ class BenchSettings(Settings):
         realtime: scheduling.
         connect_timeout_s: how long to wait for the first angle.
         latch_file: where a stop is remembered; by name of the device in the user's state folder where left out.
+        inputs: measured inputs that every reading has, such as `[pressure_bar]`, in their order on the wire.
     """
 
     name: FolderName
@@ -86,6 +90,15 @@ class BenchSettings(Settings):
     realtime: RealtimeSettings = RealtimeSettings()
     connect_timeout_s: Positive = 5.0
     latch_file: Path | None = None
+    inputs: InputNames = ()
+
+    @model_validator(mode="after")
+    def _inputs_come(self) -> BenchSettings:
+        if self.inputs and self.transport.kind not in _WITH_INPUTS:
+            raise ValueError(f"got inputs with transport {self.transport.kind}, expected {', '.join(_WITH_INPUTS)}")
+        if self.inputs and self.realtime.backend == "c":
+            raise ValueError("got inputs with realtime.backend c, expected auto or python")
+        return self
 
     @model_validator(mode="after")
     def _inside(self) -> BenchSettings:

@@ -19,10 +19,11 @@ from hystmpc.ctrl.loop import ContinuousSensorSettings, Imaging, ImagingSettings
 from hystmpc.trials.config import NotNegative, Positive, Settings
 from hystmpc.trials.errors import ConfigError
 
-from .axes import NAMES, PerAxis, PlaneLimitsSettings, columns, each, from_array, is_known, spread, together
+from .axes import NAMES, InputNames, PerAxis, PlaneLimitsSettings, columns, each, from_array, is_known, spread, together
 from .realtime import MonotonicClock, SchedulingSettings, scheduled
 from .safety.stop import StopFlag, stopping_on_signals
 from .transports.dds import DdsSettings
+from .transports.simulated import InputsOf
 from .transports.transport import Conversion, Datagrams, DeviceLink, Outgoing, Peer, PlaneWireUnits, WireUnits
 from .transports.udp import SIZES, Datagram, Kind, UdpListenSettings, decode
 
@@ -50,6 +51,7 @@ class DeviceSettings(Settings):
         realtime: scheduling of the server's process.
         log: CSV file of every sample: time, command received, angle; for tests of controllers.
         seed: of noise and faults.
+        inputs: measured inputs of the plant that every message has, in this order.
     """
 
     rate_hz: float = Field(ge=1, le=1000)
@@ -65,6 +67,7 @@ class DeviceSettings(Settings):
     realtime: SchedulingSettings = SchedulingSettings()
     log: Path | None = None
     seed: Annotated[int, Field(ge=0)] = 0
+    inputs: InputNames = ()
 
     @model_validator(mode="after")
     def _datagrams(self) -> DeviceSettings:
@@ -74,6 +77,8 @@ class DeviceSettings(Settings):
                 f"got fault {wrong[0].fault} of {wrong[0].of} with link {self.link.kind}, expected link udp: only "
                 "datagrams can be got at"
             )
+        if self.inputs and not isinstance(self.link, UdpListenSettings):
+            raise ValueError(f"got inputs with link {self.link.kind}, expected link udp")
         if self.axes == 1 and any(fault.axis is not None for fault in self.faults):
             raise ValueError("got a fault with the key axis, expected it for a device of two axes alone")
         return self
@@ -143,7 +148,7 @@ class SimulatedDevice:
         log: gets a line a sample: time since the start, command received (NaN for none), command applied, angle.
 
     Raises:
-        ConfigError: if the plant's sample time is another.
+        ConfigError: if the plant's sample time is another, or it lacks a measured input of the settings.
     """
 
     def __init__(
@@ -159,7 +164,7 @@ class SimulatedDevice:
         self._silent, self._first = math.inf, math.nan
         self._awaits_greeting = False
         self._samples = self._commands = self._beyond = self._trips = self._unheard = 0
-        self._angle = from_array(plant.reset())
+        self._angle, self._inputs = from_array(plant.reset()), InputsOf(plant, settings.inputs)
         sensor = settings.sensor
         self._imaging: Imaging | None = None
         if isinstance(sensor, ImagingSettings):
@@ -194,7 +199,8 @@ class SimulatedDevice:
         for angle, taken_s in self._measure(t_s):
             stamp_ns = now_ns - round(1e9 * (t_s - taken_s))
             raw = self._conversion.raw_angle(angle)
-            self._wire.put(Outgoing(raw, held, self._sent, stamp_ns, not self._awaits_greeting), since)
+            inputs = tuple(self._inputs.now.values())
+            self._wire.put(Outgoing(raw, held, self._sent, stamp_ns, not self._awaits_greeting, inputs), since)
             self._sent += 1
         for message in self._wire.due(since):
             self._link.send(message)
@@ -523,7 +529,7 @@ class FaultyDatagrams:
         self._wire.close()
 
     def _begin(self, data: bytes) -> None:
-        axes = next((axes for axes, size in SIZES.items() if size == len(data)), 1)
+        axes = next((axes for axes, size in SIZES.items() if size == len(data)), 1)  # of a command, which has no inputs
         if not self._first_ns and isinstance(message := decode(data, axes), Datagram) and message.kind is Kind.COMMAND:
             self._first_ns = time.monotonic_ns()
 

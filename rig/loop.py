@@ -250,9 +250,8 @@ class ControlLoop:
             return self._wait(woke, deadline, seen, stop)
         skipped = self._skipped + (self._waited if self._commands else 0)
         velocity = self._gate.velocity
-        now = PhaseInput(
-            seen.angle_deg, self._gate.last, self._late, skipped, seen.held, velocity, seen.frames, seen.shown_deg
-        )
+        held, shown = self._gate.last, (seen.frames, seen.shown_deg, seen.inputs)
+        now = PhaseInput(seen.angle_deg, held, self._late, skipped, seen.held, velocity, *shown)
         if self._waited and isinstance(self._phase, SafeStop):
             self._phase.begin(now, Past([], []))  # the return motion starts at the present command
         self._waited = 0
@@ -491,6 +490,7 @@ class ControlLoop:
             faults=faults,
             sequence=self._sequence,
             taken_s=_S * (woke - self._start_ns) - seen.age_s if seen_any else math.nan,
+            inputs=seen.inputs,
         )
 
 

@@ -96,7 +96,7 @@ def run_bench(
     with Latch.of(settings.name, settings.latch_file).held() as latch, stopping_on_signals(flag):
         latch.require_released()
         conversion = Conversion.of(settings.wire, settings.command_unit, len(settings.axes_limits))
-        wire = settings.transport.open(RunContext(conversion, settings.dt_s, clock.now_ns, plants))
+        wire = settings.transport.open(RunContext(conversion, settings.dt_s, clock.now_ns, plants, settings.inputs))
         try:
             contact = first_contact(settings, wire, clock, flag)
             begins: list[Phase] = [] if desk.started else [AwaitStart(lambda: desk.started)]
@@ -168,7 +168,7 @@ def control_loop(
     anchor = Anchor(gate, tolerance, max(3.0 * dt_s, sensor.age_limit_s), silence_s, safe, sensor.dead_after_s)
     watch = _motion_watch(settings, closed_loop, frame) if sensor.kind != "none" else None
     now = clock.now_ns()
-    intake = Intake(sensor, now, watch, len(limits))
+    intake = Intake(sensor, now, watch, len(limits), settings.inputs)
     with suppress(Exception):  # an error here occurs in the loop again, which then stops
         intake.judge([contact.seen_at(now)], now, math.nan)
     return ControlLoop(clock, transport, intake, gate, anchor, dt_s, samples, to_safe, flag, sensor.dead_after_s)

@@ -94,7 +94,7 @@ class Trial:
 
     Raises:
         LogError: if shapes differ, fewer than two samples are given, a value is not finite, time does not increase, or
-            there are more than six commands, angles or inputs. `command` and `angle`, on a trial of several.
+            there are more than nine commands or angles, or six inputs. `command` and `angle`, on a trial of several.
     """
 
     t: Vec

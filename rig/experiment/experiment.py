@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +19,7 @@ from hystmpc.ctrl.monitor import ChangeMonitor, MonitorState
 from hystmpc.ctrl.planner.reach import beyond_reach
 from hystmpc.ctrl.planner.settings import Assembly, assemble, read_settings
 from hystmpc.ctrl.planner.tip_controller import TipController
+from hystmpc.models.scheduled import MeasuredInput
 from hystmpc.trajectories.motion import Kinematics, PiecewiseCubic
 from hystmpc.trajectories.ruckig_ import move_to_rest
 from hystmpc.trajectories.trajectory import Trajectory, TrajectoryChain
@@ -105,6 +106,8 @@ def tracking_phase(settings: RunSettings, threaded: bool = True, note: Note = la
 
         compiled = compiled_loop(assembly.controller, settings.realtime.spin_s)
     tip = TipController(assembly, tip_settings)
+    if line := not_measured(assembly.predictor.inputs, settings.inputs):
+        note(line)
     reference = settings.reference.build()
     if beyond := beyond_reach(reference(np.linspace(0.0, reference.duration_s, 1000)), assembly.workspace.model):
         note(f"warning: the reference {beyond}")
@@ -119,6 +122,13 @@ def tracking_phase(settings: RunSettings, threaded: bool = True, note: Note = la
     watch = model_watch(settings.plausibility, law, settings.dt_s)
     monitor = ChangeMonitor(assembly.predictor.noise, settings.dt_s, assembly.workspace.model)
     return Tracking(tip, lead_in, watch, monitor, fails, settings.sensor, threaded, compiled)
+
+
+def not_measured(known: Sequence[MeasuredInput], inputs: Sequence[str]) -> str:
+    """Line on measured inputs of a model that no reading has; empty without one."""
+    missing = [f"{one.name} {one.reference:.4g}" for one in known if one.name not in inputs]
+    names = "the key `inputs` names what the device measures"
+    return f"warning: the controller takes {', '.join(missing)} as identified; {names}" if missing else ""
 
 
 def _fits(settings: RunSettings, assembly: Assembly) -> None:
@@ -235,7 +245,8 @@ class Tracking(Phase):
         control = None if self._monitor is None else self._tip.snapshot().control
         if self._kind == "continuous" and control is not None and control.estimate.angles:
             self._judge(now.angle_deg, control.estimate.angles[0] - control.estimate.added)
-        command = self._tip.step(now.angle_deg if self._kind == "continuous" else math.nan, self._refusal(now))
+        angle = now.angle_deg if self._kind == "continuous" else math.nan
+        command = self._tip.step(angle, self._refusal(now), now.inputs or None)
         self._k += 1 + now.skipped
         return self._decision(command, self._due_deg())
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, MutableSequence, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Generator, Mapping, MutableSequence, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, final
 
 from pydantic import Field, model_validator
@@ -33,6 +33,7 @@ class PhaseInput:
     velocity: PerAxis = 0.0  # of the command between the last two samples; 0 where the device is at rest [unit/s]
     frames: tuple[ObservedFrame, ...] = ()  # of an intermittent sensor, accepted since the last sample
     shown_deg: PerAxis = math.nan  # the newest angle that is not stale, believed or not; NaN where none came [deg]
+    inputs: Mapping[str, float] = field(default_factory=dict)  # newest usable value of each measured input
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ from ..run import BenchResult, Note, run_bench
 from ..safety.plausibility import AxesFrame
 from ..safety.stop import cause_of
 from ..transports.transport import PlantFactory
-from .experiment import Tracking, model_watch
+from .experiment import Tracking, model_watch, not_measured
 
 _POINTS, _BEYOND_DEG = 400, 0.5  # of a reference that are looked at; distance to the reach that is mentioned
 
@@ -78,6 +78,8 @@ def plane_tracking(
     reference = settings.reference.build()
     _take_first_step(tip, reference)
     _mention_reach(tip, reference, note)
+    if line := not_measured(model.inputs, settings.inputs):
+        note(line)
 
     def lead_in(angles_deg: PerAxis) -> Trajectory:
         x, y = each(angles_deg)

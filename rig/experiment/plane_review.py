@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +34,7 @@ from .review import (
     ReviewedRun,
     ending_pieces,
     line_pieces,
+    logged_inputs,
     review,
     review_run,
     run_figures,
@@ -50,6 +51,7 @@ class PlaneRows:
 
     Attributes:
         t: ends of the samples (N,) [s].
+        inputs: measured inputs (N,) by name.
     """
 
     t: Vec
@@ -58,6 +60,7 @@ class PlaneRows:
     reference_deg: Vec
     predicted_deg: Vec
     free_deg: Vec
+    inputs: Mapping[str, Vec] = field(default_factory=dict)
 
     @property
     def seen(self) -> NDArray[np.bool_]:
@@ -118,7 +121,8 @@ def review_plane_run(folder: Path, more: Sequence[Piece] = ()) -> PlaneReview:
         rows = plane_rows(run, settings)
         verdict = _judged(rows, settings)
         t, u, y = (values[rows.seen] for values in (rows.t, rows.command, rows.measured_deg))
-        write_atomically(folder / TRIAL_FILE, format_table(trial_columns(t, u, y, settings.command_unit)))
+        inputs = {name: values[rows.seen] for name, values in rows.inputs.items()}
+        write_atomically(folder / TRIAL_FILE, format_table(trial_columns(t, u, y, settings.command_unit) | inputs))
     except (LogError, TrajectoryError) as error:
         verdict = PlaneReview(math.nan, math.nan, problem=str(error))
     _write_page(run, settings, rows, verdict, more)
@@ -143,7 +147,9 @@ def plane_rows(run: RunFolder, settings: PlaneRunSettings) -> PlaneRows:
     follows = np.flatnonzero(np.diff(sequence) == 1)  # rows whose end is the next row's beginning
     place = sequence - sequence[0]
     row = np.searchsorted(place, np.arange(place[-1] + 1), side="right") - 1  # commands are held over skipped samples
-    free = load_two_axes(settings.controller.model).run(command[row], angle[seen[0]])[place]
+    model, inputs = load_two_axes(settings.controller.model), logged_inputs(log, settings.inputs)
+    known = {one.name: inputs[one.name][row] for one in model.inputs if one.name in inputs}
+    free = model.run(command[row], angle[seen[0]], known)[place]
     return PlaneRows(
         t=numbers(log, "time_s")[follows] + settings.dt_s,
         command=command[follows],
@@ -151,6 +157,7 @@ def plane_rows(run: RunFolder, settings: PlaneRunSettings) -> PlaneRows:
         reference_deg=_both(log, "reference_deg")[follows],
         predicted_deg=_both(log, "predicted_deg")[follows],
         free_deg=free[follows],
+        inputs={name: values[follows] for name, values in inputs.items()},
     )
 
 

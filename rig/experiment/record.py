@@ -35,7 +35,7 @@ from hystmpc.trials.layouts import CANONICAL
 from hystmpc.trials.recording import write_manifest
 from hystmpc.trials.tables import LogTable, read_table
 from hystmpc.trials.trial import Trial, Units
-from hystmpc.trials.types import Vec
+from hystmpc.trials.types import Mask, Vec
 
 from ..axes import NAMES, PerAxis, each, from_array, like, rows_of, together, trial_columns
 from ..config import BenchSettings, located
@@ -44,7 +44,7 @@ from ..plane_config import Both, PlaneBenchSettings, file_of_two_axes
 from ..recording.sample import Sink
 from ..run import BenchResult, Note, run_bench
 from ..safety.ramp import RampSettings, waypoint_commands
-from ..transports.transport import PlantFactory, Transport
+from ..transports.transport import NO_INPUTS, PlantFactory, Transport
 from .phases import CommandMotion, Decision, Past, Phase, PhaseInput
 
 _ROUNDING = 1e-9
@@ -76,6 +76,7 @@ class Recorded(Phase):
         self.sent, self.reported = [nothing] * len(commands), [nothing] * len(commands)
         self.angles_deg = [nothing] * len(commands)
         self.times = [math.nan] * len(commands)
+        self.inputs: list[Mapping[str, float]] = [NO_INPUTS] * len(commands)
         self._k, self._skipped = 0, 0
 
     def begin(self, now: PhaseInput, past: Past) -> None:
@@ -91,7 +92,7 @@ class Recorded(Phase):
             self.sent[k - 1], self.reported[k - 1] = now.held, now.reported
             angle = now.angle_deg if self._late is None else math.nan
             self.angles_deg[k - 1] = like(now.held, angle)
-            self.times[k - 1] = k + self._skipped
+            self.times[k - 1], self.inputs[k - 1] = k + self._skipped, now.inputs
         for frame in now.frames:
             taken = k + self._skipped - frame.age_s / self._dt
             if (place := bisect_right(self.times, taken + 0.5, hi=min(k, count)) - 1) >= 0:
@@ -109,13 +110,15 @@ class Recorded(Phase):
         if trial is None:
             return None
         if trial.commands.shape[1] > 1:
-            return write_atomically(file, format_table(trial_columns(trial.t, trial.commands, trial.angles, unit)))
+            columns = trial_columns(trial.t, trial.commands, trial.angles, unit) | dict(trial.channels)
+            return write_atomically(file, format_table(columns))
         if self._late is None:
             return write_csv(trial, file)
         t, u, y = (np.array(values) for values in (self.times, self.sent, self.angles_deg))
         done = np.isfinite(t)
         angles = [repr(angle) if math.isfinite(angle) else "" for angle in y[done].tolist()]
         columns = {CANONICAL.time: self._dt * t[done], f"command_{unit}": u[done], CANONICAL.angle: angles}
+        columns |= self._seen_inputs(done)
         return write_atomically(file, format_table(columns))
 
     def trial(self, unit: str) -> Trial | None:
@@ -124,7 +127,14 @@ class Recorded(Phase):
         seen = np.isfinite(t) & (np.isfinite(y) if y.ndim == 1 else np.isfinite(y).all(axis=1))
         if np.count_nonzero(seen) < _LEAST:
             return None
-        return Trial(self._dt * t[seen], u[seen], y[seen], units=Units(command=unit), source=self.name)
+        inputs = self._seen_inputs(seen)
+        return Trial(self._dt * t[seen], u[seen], y[seen], inputs, Units(command=unit), self.name)
+
+    def _seen_inputs(self, seen: Mask) -> dict[str, Vec]:
+        """Measured inputs of these samples by name, as channels of a trial; without those that have no value in one."""
+        rows = [self.inputs[k] for k in np.flatnonzero(seen)]
+        made = {name: np.array([row.get(name, math.nan) for row in rows]) for name in rows[-1]} if rows else {}
+        return {name: values for name, values in made.items() if np.isfinite(values).all()}
 
     @property
     def whole(self) -> bool:

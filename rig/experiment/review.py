@@ -48,6 +48,7 @@ class ReviewedRun:
     free_deg: Vec  # the model's free run over the commands, without any measurement [deg]
     counted: NDArray[np.bool_]  # samples that are judged: with an angle, after the first flexure
     monitor: ChangeMonitor  # of the model
+    inputs: Mapping[str, Vec] = field(default_factory=dict)  # measured inputs in each sample, by name
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,8 @@ def compare_with_model(run: RunFolder, settings: RunSettings) -> ReviewedRun:
     follows = np.flatnonzero(np.diff(sequence) == 1)  # rows whose end is the next row's beginning
     angle = _angles_when_taken(log)
     model = load_model(model_path(settings.controller.model), start="conditioned")
-    free = _free_run(model, settings, command, sequence, angle)
+    inputs = logged_inputs(log, settings.inputs)
+    free = _free_run(model, settings, command, sequence, angle, inputs)
     measured, trained = angle[follows + 1], model.metadata.trained_angle
     sources = [str(text) for text in log["source"]]
     past = max((k for k, name in enumerate(sources) if name in _PREPARATION), default=-1)
@@ -105,7 +107,19 @@ def compare_with_model(run: RunFolder, settings: RunSettings) -> ReviewedRun:
         free_deg=free[follows],
         counted=np.isfinite(measured) & np.isfinite(free[follows]) & (follows > past),
         monitor=ChangeMonitor(model.metadata.noise, settings.dt_s, (trained.lower, trained.upper)),
+        inputs={name: values[follows] for name, values in inputs.items()},
     )
+
+
+def logged_inputs(log: Log, names: Sequence[str]) -> Mapping[str, Vec]:
+    """Measured inputs (N,) of a log by name; before its first value an input has that one. Left out: without any."""
+    made = {}
+    for name in names:
+        values = numbers(log, name) if name in log else np.empty(0)
+        known = np.flatnonzero(np.isfinite(values))
+        if known.size:
+            made[name] = np.where(np.arange(values.size) < known[0], values[known[0]], values)
+    return made
 
 
 def review(rows: ReviewedRun, due_above_deg: float) -> Review:
@@ -165,7 +179,14 @@ def _change(rows: ReviewedRun, free_deg: Vec, measured_deg: Vec) -> str:
     )
 
 
-def _free_run(model: LoadedModel, settings: RunSettings, command: Vec, sequence: NDArray[np.int64], angle: Vec) -> Vec:
+def _free_run(
+    model: LoadedModel,
+    settings: RunSettings,
+    command: Vec,
+    sequence: NDArray[np.int64],
+    angle: Vec,
+    inputs: Mapping[str, Vec],
+) -> Vec:
     """Model's angles (N,) at the ends of the samples; commands are held over skipped samples."""
     place = sequence - sequence[0]
     row = np.searchsorted(place, np.arange(place[-1] + 1), side="right") - 1
@@ -173,7 +194,8 @@ def _free_run(model: LoadedModel, settings: RunSettings, command: Vec, sequence:
     if lag_s > 0:
         sent = lagged(sent, math.exp(-settings.dt_s / lag_s))
     finite = angle[np.isfinite(angle)]
-    return free_run(model, sent, float(finite[0]) if finite.size else 0.0)[place]
+    known = {one.name: inputs[one.name][row] for one in model.inputs if one.name in inputs}
+    return free_run(model, sent, float(finite[0]) if finite.size else 0.0, known)[place]
 
 
 def _advice(free: float, corrected: float, offset: float, gain: float, bar: float) -> str:
@@ -208,7 +230,8 @@ def review_run(folder: Path, more: Sequence[Piece] = ()) -> Review:
         verdict = review(rows, settings.review.due_above_deg)
         usable = np.isfinite(rows.measured_deg)
         signals = rows.t[usable], rows.command[usable], rows.measured_deg[usable]
-        write_csv(Trial(*signals, units=Units(settings.command_unit)), folder / TRIAL_FILE)
+        inputs = {name: values[usable] for name, values in rows.inputs.items()}
+        write_csv(Trial(*signals, inputs, Units(settings.command_unit)), folder / TRIAL_FILE)
     except (LogError, TrajectoryError) as error:
         verdict = Review(f"not judged: {error}", *(math.nan,) * 6)
     write_page(run, settings, rows, verdict, more)

@@ -83,7 +83,7 @@ def _plain(s: Sample) -> tuple[object, ...]:
     stages = tuple((str(name), float(spent)) for name, spent in s.stages_s)
     chosen = _numbers(s.command), str(s.source), str(s.status), _numbers(s.predicted_deg), stages
     timing = float(s.period_s), float(s.lateness_s), bool(s.missed)
-    rest = tuple(map(str, s.faults)), int(s.sequence), float(s.taken_s)
+    rest = tuple(map(str, s.faults)), int(s.sequence), float(s.taken_s), dict(s.inputs)
     return (float(s.t_s), int(s.wall_ns), *angles, *chosen, *timing, *rest)
 
 
@@ -124,6 +124,7 @@ def open_recorder_process(
     path, made = Path(folder), not Path(folder).exists()
     create_folder(path, config, meta)
     order = {"folder": str(path), "rate_hz": rate_hz, "unit": meta.unit, "stages": meta.stages, "axes": meta.axes}
+    order["inputs"] = meta.inputs
     access = None if desk is None or desk.access is None else asdict(desk.access)
     more = {"views": asdict(views), "report": report, "access": access}
     try:
@@ -314,7 +315,9 @@ def _sinks(order: dict[str, Any], requests: _Requests) -> tuple[Sink, str]:
                 view.tell(text)
         _say(tell=text)
 
-    meta = RecordingMeta(order["unit"], stages=tuple(order["stages"]), axes=order["axes"])
+    meta = RecordingMeta(
+        order["unit"], stages=tuple(order["stages"]), axes=order["axes"], inputs=tuple(order["inputs"])
+    )
     run = RunFolder.open(order["folder"])
     recording = Recording(run, meta, order["rate_hz"], tell, lambda count: _say(on_disk=count), report=order["report"])
     views: list[Sink] = [view for view in (page, terminal) if view is not None]

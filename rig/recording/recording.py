@@ -8,7 +8,7 @@ import json
 import logging
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -55,6 +55,7 @@ class RecordingMeta:
     command_line: tuple[str, ...] | None = None  # that started the run; the process's own where None
     stages: tuple[str, ...] = ()  # names of the stages with a column in log.csv; the first sample's where empty
     axes: int = 1  # number of commands and of angles
+    inputs: tuple[str, ...] = ()  # names of measured inputs, which have a column each
 
     def __post_init__(self) -> None:
         if self.unit not in COMMAND_UNITS:
@@ -200,7 +201,7 @@ def _open_logs(folder: Path, meta: RecordingMeta) -> tuple[_Log, ...]:
     command = f"command_{meta.unit}" if meta.axes == 1 else command_column(meta.unit)
     logs: list[_Log] = [CsvLog(folder / "log.csv", command, meta.stages)]
     if mcap_.available():
-        logs.append(McapLog(folder / "log.mcap", command, meta.axes))
+        logs.append(McapLog(folder / "log.mcap", command, meta.axes, meta.inputs))
     return tuple(logs)
 
 
@@ -341,12 +342,13 @@ class McapLog:
     Args:
         command: name of the command's field, such as `command_mm`.
         axes: number of commands and of angles.
+        inputs: names of measured inputs.
 
     Raises:
         OSError: if the file cannot be created, or the disk is full or fails.
     """
 
-    def __init__(self, path: Path, command: str, axes: int = 1) -> None:
+    def __init__(self, path: Path, command: str, axes: int = 1, inputs: Sequence[str] = ()) -> None:
         from mcap.writer import Writer  # an extra
 
         self._file = GrowingFile(path)
@@ -354,7 +356,7 @@ class McapLog:
         self._writer: Any = Writer(cast(IO[bytes], self._file), chunk_size=_CHUNK_BYTES)
         self._writer.start(profile="", library="hystmpc")
         pairs = [columns(name, math.nan, axes) for name in (command, "angle_deg", "reference_deg", "predicted_deg")]
-        tip = ("time_s", *pairs[0], *pairs[1], TAKEN, *pairs[2], *pairs[3])
+        tip = ("time_s", *pairs[0], *pairs[1], TAKEN, *pairs[2], *pairs[3], *inputs)
         self._tip = self._channel(TIP, "hystmpc.Tip", {name: ["number", "null"] for name in tip})
         timing = {"period_s": ["number", "null"], "lateness_s": ["number", "null"], "missed": ["boolean"]}
         self._timing = self._channel(TIMING, "hystmpc.Timing", timing)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from threading import Event, Thread
 from typing import Protocol, final
 
@@ -38,6 +39,7 @@ class Sample:
     faults: tuple[str, ...]  # names of the faults in this sample
     sequence: int  # number of the sample, counted from 0
     taken_s: float = math.nan  # when the angle was taken, on the clock of `t_s`: earlier for a frame; NaN without one
+    inputs: Mapping[str, float] = field(default_factory=dict)  # newest usable values; NaN before the first
 
     def motion(self, command: str) -> dict[str, float]:
         """Time, command and angles by the name of their column; `command` is that of the command, as `command_mm`.
@@ -52,6 +54,7 @@ class Sample:
             TAKEN: self.taken_s,
             **columns("reference_deg", self.reference_deg, axes),
             **columns("predicted_deg", self.predicted_deg, axes),
+            **self.inputs,
         }
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, final
 
 from pydantic import Field, model_validator
@@ -126,6 +126,7 @@ class Observation:
     frames: tuple[ObservedFrame, ...] = ()  # accepted, in the order of arrival; none of a continuous sensor
     age_s: float = 0.0  # of `angle_deg`: 0 of a continuous sensor, which shows the present [s]
     shown_deg: PerAxis = math.nan  # newest angle that is not stale, accepted or not; NaN without one [deg]
+    inputs: Mapping[str, float] = field(default_factory=dict)  # newest usable values; NaN before the first
 
 
 @final
@@ -274,9 +275,19 @@ class Intake:
         start_ns: monotonic time from which silence counts [ns].
         watch: compares commanded with measured motion; None does not.
         axes: number of angles and commands in a reading.
+        inputs: measured inputs that every reading is to have. A sample without a usable value of one has a fault, and
+            the value before it holds.
     """
 
-    def __init__(self, settings: SensorSettings, start_ns: int, watch: Watch | None = None, axes: int = 1) -> None:
+    def __init__(
+        self,
+        settings: SensorSettings,
+        start_ns: int,
+        watch: Watch | None = None,
+        axes: int = 1,
+        inputs: Sequence[str] = (),
+    ) -> None:
+        self._inputs = dict.fromkeys(inputs, math.nan)
         self._settings, self._order, self._watch = settings, Order(), watch
         self._angles = [AngleChecks(settings, start_ns) for _ in range(axes)]
         self._flight_ns: dict[bool, tuple[float, int]] = {}  # least time of flight, and time of its last update
@@ -301,8 +312,11 @@ class Intake:
         angles, continuous = self._angles, self._settings.kind == "continuous"
         self._held, seen_ns = math.nan, now_ns
         self._begin(command, now_ns)
+        missing = set(self._inputs)
         for reading in readings:
             fault, taken_ns = self._judged(reading, now_ns)
+            if not fault:
+                missing -= self._take_inputs(reading)
             if fault:
                 self._reject(faults, fault)
             elif taken_ns is not None:
@@ -314,6 +328,7 @@ class Intake:
         for i, one in enumerate(angles if continuous else ()):
             if math.isnan(one.fresh) and not one.faults:
                 self._reject(faults, "no-angle", i)
+        faults += [f"no-{name}" for name in self._inputs if name in missing]
         follows, stray = self._follows(command, now_ns)
         if not follows:
             self._reject(faults, "not-followed")
@@ -322,9 +337,14 @@ class Intake:
         self._dead = self._dead or self._silence(now_ns, len(readings))
         self.counts.update(faults)
         age_s, shown_deg = _S * (now_ns - seen_ns), together([one.shown_deg for one in angles])
-        return Observation(
-            angle_deg, tuple(dict.fromkeys(faults)), self._dead, self._held, follows, tuple(frames), age_s, shown_deg
-        )
+        names, inputs = tuple(dict.fromkeys(faults)), dict(self._inputs)
+        return Observation(angle_deg, names, self._dead, self._held, follows, tuple(frames), age_s, shown_deg, inputs)
+
+    def _take_inputs(self, reading: Reading) -> set[str]:
+        """Keep the usable values of measured inputs in a reading; return their names."""
+        known = {name for name in self._inputs if math.isfinite(reading.inputs.get(name, math.nan))}
+        self._inputs |= {name: float(reading.inputs[name]) for name in known}
+        return known
 
     def numbers(self, dt_s: float, recent: int) -> Mapping[str, Any] | None:
         """Initial state of the same checks in C, for `recent` commands; None if sensor or state is not supported."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self, final
@@ -21,12 +21,36 @@ from hystmpc.ctrl.loop import (
     Plant,
     SimulatedSensor,
 )
-from hystmpc.trials.errors import ConfigError, LogError
+from hystmpc.trials.errors import ConfigError, LogError, did_you_mean
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.types import Vec
 
 from ..axes import PerAxis, each, from_array, together
-from .transport import Reading, RunContext, Transport, TransportBase
+from .transport import NO_INPUTS, Reading, RunContext, Transport, TransportBase
+
+
+@final
+class InputsOf:
+    """Measured inputs of a simulated device at the present instant.
+
+    Raises:
+        ConfigError: if the device does not depend on an input of such a name.
+    """
+
+    def __init__(self, plant: Plant, names: Sequence[str]) -> None:
+        self._plant: Any = plant
+        self._names = tuple(names)
+        known = getattr(plant, "inputs", NO_INPUTS) if names else NO_INPUTS
+        if unknown := [name for name in names if name not in known]:
+            raise ConfigError(f"inputs: the device has no input {unknown[0]!r}, {did_you_mean(unknown[0], known)}")
+
+    @property
+    def now(self) -> Mapping[str, float]:
+        """Values by name."""
+        if not self._names:
+            return NO_INPUTS
+        values = self._plant.inputs
+        return {name: float(values[name]) for name in self._names}
 
 
 @final
@@ -36,9 +60,10 @@ class SimulatedTransport(Transport):
     Args:
         held: the command that the plant holds after its reset; of two axes a tuple.
         sensor: what is shown of its angle; a first frame shows the rest.
+        inputs: names of the plant's measured inputs that a reading has.
 
     Raises:
-        ConfigError: if the plant has another sample time.
+        ConfigError: if the plant has another sample time, or does not depend on such an input.
     """
 
     def __init__(
@@ -49,7 +74,9 @@ class SimulatedTransport(Transport):
         now_ns: Callable[[], int],
         sensor: AnySensorSettings | None = None,
         seed: int = 0,
+        inputs: Sequence[str] = (),
     ) -> None:
+        self._inputs = InputsOf(plant, inputs)
         if abs(plant.dt - dt_s) > 1e-9 * dt_s:
             raise ConfigError(f"simulated device: got a plant at {plant.dt} s, expected the loop's {dt_s} s")
         self._plant, self._held, self._now, self._dt_ns = plant, held, now_ns, round(1e9 * dt_s)
@@ -76,12 +103,12 @@ class SimulatedTransport(Transport):
             self._sequence += 1
             arrived_ns = now - round(1e9 * max(self._time_s - frame.arrives_s, 0.0))
             sent_ns = arrived_ns - round(1e9 * (frame.arrives_s - frame.taken_s))
-            return Reading(frame.angle_deg, self._sequence, 0, sent_ns, arrived_ns, self._held)
+            return Reading(frame.angle_deg, self._sequence, 0, sent_ns, arrived_ns, self._held, inputs=self._inputs.now)
         if self._read_ns is not None and now - self._read_ns < self._dt_ns // 2:
             return None
         self._read_ns, self._sequence = now, self._sequence + 1
         angle = self._angle if self._continuous else together([math.nan] * len(each(self._angle)))
-        return Reading(angle, self._sequence, 0, now, now, self._held)
+        return Reading(angle, self._sequence, 0, now, now, self._held, inputs=self._inputs.now)
 
     def write(self, command: PerAxis) -> None:
         self._angle, self._held, self._read_ns = from_array(self._plant.apply(command)), command, None
@@ -167,7 +194,7 @@ class SimulatedSettings(TransportBase):
             raise ConfigError(
                 f"simulated device: got a plant of {axes} axes, expected {run.conversion.axes} as in limits"
             )
-        return SimulatedTransport(plant, run.dt_s, held, run.now_ns, self.sensor, self.seed)
+        return SimulatedTransport(plant, run.dt_s, held, run.now_ns, self.sensor, self.seed, run.inputs)
 
 
 class ReplaySettings(TransportBase):

@@ -6,8 +6,9 @@ import math
 import time
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, ClassVar, Literal, Protocol, Self, final
 
 from hystmpc.ctrl.loop import Plant
@@ -15,6 +16,9 @@ from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError
 
 from ..axes import PerAxis, each, together
+
+NO_INPUTS: Mapping[str, Any] = MappingProxyType({})
+"""Values of the measured inputs of a device that has none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +33,7 @@ class Reading:
         received_ns: this process's monotonic clock at receipt [ns].
         held: the command that the device holds; NaN where it does not report.
         listens: whether the device takes commands of this session; True where it does not report.
+        inputs: values of measured inputs by name; not-a-number, or left out, where there is none.
     """
 
     angle_deg: PerAxis
@@ -38,18 +43,22 @@ class Reading:
     received_ns: int
     held: PerAxis
     listens: bool = True
+    inputs: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
-    def now(cls, angle_deg: float, sequence: int, held: float = math.nan) -> Reading:
+    def now(
+        cls, angle_deg: float, sequence: int, held: float = math.nan, inputs: Mapping[str, float] = NO_INPUTS
+    ) -> Reading:
         """Measurement received just now from a device without sessions and stamps.
 
         Args:
             angle_deg: measured angle, in the unit of the block `wire` [deg].
             sequence: rises by one a measurement.
             held: command that the device holds; NaN where it does not report.
+            inputs: as of a reading.
         """
         now_ns = time.monotonic_ns()
-        return cls(angle_deg, sequence, 0, now_ns, now_ns, held)
+        return cls(angle_deg, sequence, 0, now_ns, now_ns, held, inputs=inputs)
 
 
 class Transport(Protocol):
@@ -109,6 +118,7 @@ class Outgoing:
     sequence: int  # rises by one a measurement
     stamp_ns: int  # sender's clock [ns]
     listens: bool = True  # whether commands are taken now, or a new greeting is needed first
+    inputs: tuple[float, ...] = ()  # values of measured inputs, in the order of the settings
 
 
 Says = Literal["command", "greeting", "goodbye"]
@@ -272,6 +282,7 @@ class RunContext:
     dt_s: float  # sample time of the loop [s]
     now_ns: Callable[[], int]  # monotonic clock
     plants: PlantFactory  # makes simulated devices
+    inputs: tuple[str, ...] = ()  # names of the measured inputs of a reading, in their order
 
 
 class TransportBase(Settings):

@@ -7,7 +7,7 @@ A datagram has 44 bytes, little-endian:
 | 0 | 4 bytes | magic `HMPC` |
 | 4 | u8 | version, 1 |
 | 5 | u8 | kind: 1 reading, 2 command, 3 stop, 4 hello |
-| 6 | u16 | zero |
+| 6 | u16 | n, number of measured inputs in a reading; else 0 |
 | 8 | u32 | session, chosen by the sender at its start |
 | 12 | u32 | sequence |
 | 16 | u64 | sender's monotonic clock [ns] |
@@ -25,6 +25,9 @@ and the numbers of both axes follow:
 | 56 | u32 | CRC-32 (zlib) of the 56 bytes before |
 
 An end of one version refuses every datagram of the other one: `wrong size`.
+
+A reading with n measured inputs has n f64 more, before the CRC-32, in the order of the key `inputs` of both ends. An
+end that expects another number of them refuses it too.
 """
 
 from __future__ import annotations
@@ -49,6 +52,7 @@ from hystmpc.trials.errors import ConfigError
 
 from ..axes import PerAxis, each, is_known, together
 from .transport import (
+    NO_INPUTS,
     Admission,
     Conversion,
     Datagrams,
@@ -96,32 +100,41 @@ class Datagram:
     stamp_ns: int
     value: PerAxis = 0.0
     held: PerAxis = 0.0
+    inputs: tuple[float, ...] = ()
 
 
 def encode(message: Datagram) -> bytes:
-    """The bytes of a datagram, (44,) of one axis and (60,) of two; sequence and session wrap at 2^32."""
+    """The bytes of a datagram, (44,) of one axis and (60,) of two, and 8 more for each input; numbers wrap at 2^32."""
     session, sequence = message.session & 0xFFFFFFFF, message.sequence & 0xFFFFFFFF
     stamp_ns, value = message.stamp_ns & 0xFFFFFFFFFFFFFFFF, each(message.value)
     numbers = *value, *each(message.held)
-    body = _BODIES[len(value)].pack(MAGIC, len(value), message.kind, 0, session, sequence, stamp_ns, *numbers)
+    count = len(message.inputs)
+    body = _BODIES[len(value)].pack(MAGIC, len(value), message.kind, count, session, sequence, stamp_ns, *numbers)
+    body += struct.pack(f"<{count}d", *message.inputs)
     return body + _CRC.pack(zlib.crc32(body))
 
 
-def decode(data: bytes, axes: int = 1) -> Datagram | str:
-    """Decode a datagram, or name the fault of its bytes; never raises on bytes of any content or length."""
-    if len(data) != SIZES[axes]:
+def decode(data: bytes, axes: int = 1, inputs: int = 0) -> Datagram | str:
+    """Decode a datagram, or name the fault of its bytes; never raises on bytes of any content or length.
+
+    A reading has `inputs` measured inputs.
+    """
+    further = len(data) - SIZES[axes]
+    if further not in (0, 8 * inputs):
         return "wrong size"
-    layout = _BODIES[axes]
-    body = data[: layout.size]
-    if zlib.crc32(body) != _CRC.unpack_from(data, layout.size)[0]:
+    layout, body = _BODIES[axes], data[: -_CRC.size]
+    if zlib.crc32(body) != _CRC.unpack_from(data, len(body))[0]:
         return "wrong checksum"
-    magic, version, kind, zero, session, sequence, stamp_ns, *numbers = layout.unpack(body)
-    if magic != MAGIC or version != axes or zero:
+    magic, version, kind, count, session, sequence, stamp_ns, *numbers = layout.unpack_from(body)
+    if magic != MAGIC or version != axes or 8 * count != further:
         return "wrong version"
     known = KINDS.get(kind)
     if known is None:
         return "unknown kind"
-    return Datagram(known, session, sequence, stamp_ns, together(numbers[:axes]), together(numbers[axes:]))
+    if count != (inputs if known is Kind.READING else 0):
+        return "wrong size"
+    more = struct.unpack_from(f"<{count}d", body, layout.size)
+    return Datagram(known, session, sequence, stamp_ns, together(numbers[:axes]), together(numbers[axes:]), more)
 
 
 _TRIES = 64  # datagrams looked at in one call; a flood of rubbish must not cost the deadline
@@ -150,14 +163,15 @@ class UdpTransport(Transport):
         ConfigError: if the own address cannot be had or the device's is none.
     """
 
-    def __init__(self, settings: UdpSettings, conversion: Conversion) -> None:
+    def __init__(self, settings: UdpSettings, conversion: Conversion, inputs: Sequence[str] = ()) -> None:
         self._wire = _open(settings.bind_host, settings.bind_port, "the controller")
         try:
             self._wire.connect((settings.host, settings.port))  # the system drops what comes from elsewhere
         except OSError as error:
             self._wire.close()
             raise ConfigError(f"udp: no way to {settings.host} port {settings.port} ({error})") from None
-        self._conversion, self._size = conversion, SIZES[conversion.axes]
+        self._conversion, self._inputs = conversion, tuple(inputs)
+        self._size = SIZES[conversion.axes] + 8 * len(self._inputs)
         self._nothing = together([0.0] * conversion.axes)
         self._session, self._sequence = secrets.randbits(32), 0
         self._counters: Counter[str] = Counter()
@@ -188,7 +202,7 @@ class UdpTransport(Transport):
 
     def reading(self, data: bytes, received_ns: int) -> Reading | None:
         """Decode the reading of a datagram; an invalid one is counted."""
-        message = decode(data, self._conversion.axes)
+        message = decode(data, self._conversion.axes, len(self._inputs))
         if isinstance(message, str):
             self._counters[message] += 1
             return None
@@ -197,12 +211,13 @@ class UdpTransport(Transport):
             return None
         self._answered = True
         angle, held = self._conversion.angle_deg(message.value), self._conversion.command(message.held)
-        return Reading(angle, message.sequence, message.session, message.stamp_ns, received_ns, held)
+        inputs = dict(zip(self._inputs, message.inputs, strict=True)) if self._inputs else NO_INPUTS
+        return Reading(angle, message.sequence, message.session, message.stamp_ns, received_ns, held, inputs=inputs)
 
     def numbers(self) -> Mapping[str, float] | None:
-        """Socket, session and conversion for reading and writing by a loop in C; None for two axes."""
+        """Socket, session and conversion for reading and writing by a loop in C; None for two axes, or with inputs."""
         conversion = self._conversion
-        if conversion.axes > 1:
+        if conversion.axes > 1 or self._inputs:
             return None
         return {
             "descriptor": self._wire.fileno(),
@@ -296,7 +311,8 @@ class UdpLink(DeviceLink):
     def send(self, message: Outgoing) -> None:
         if self._peer is None:
             return
-        data = Datagram(Kind.READING, self._session, message.sequence, message.stamp_ns, message.angle, message.held)
+        stamps = message.sequence, message.stamp_ns
+        data = Datagram(Kind.READING, self._session, *stamps, message.angle, message.held, message.inputs)
         try:
             self._wire.sendto(encode(data), self._peer)
         except OSError:
@@ -345,7 +361,7 @@ class UdpSettings(TransportBase):
         return f"udp {self.host} port {self.port}"
 
     def open(self, run: RunContext) -> Transport:
-        return UdpTransport(self, run.conversion)
+        return UdpTransport(self, run.conversion, run.inputs)
 
 
 class UdpListenSettings(Settings):
