@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from .plane import PlaneMotion, circle, lissajous, raster, ring, spiral, star, through_points, through_tips
     from .point_to_point import PointToPoint, random_point_to_point
     from .scan import Raster, SinusoidScan, TriangleScan
+    from .tissue import TissueMotion, on_tissue
     from .trajectory import PreviewTable, Sampled, Trajectory, preview, sample
 
 __all__ = [
@@ -25,10 +26,12 @@ __all__ = [
     "Raster",
     "Sampled",
     "SinusoidScan",
+    "TissueMotion",
     "Trajectory",
     "TriangleScan",
     "circle",
     "lissajous",
+    "on_tissue",
     "preview",
     "random_point_to_point",
     "raster",
@@ -50,5 +53,6 @@ if not TYPE_CHECKING:
             "PlaneMotion circle lissajous raster ring spiral star through_points through_tips",
         ),
         ("hystmpc.trajectories.scan", "Raster SinusoidScan TriangleScan"),
+        ("hystmpc.trajectories.tissue", "TissueMotion on_tissue"),
         ("hystmpc.trajectories.trajectory", "PreviewTable Sampled Trajectory preview sample"),
     )

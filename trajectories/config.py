@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BeforeValidator, Field
 
-from hystmpc.trials.config import NotNegative, OfBothAxes, Positive
+from hystmpc.trials.config import NotNegative, OfBothAxes, Positive, Settings
 from hystmpc.trials.errors import ConfigError, did_you_mean
 
 from .motion import MotionLimits, MotionSettings, TrajectorySettings
@@ -27,6 +27,7 @@ from .plane import (
 )
 from .point_to_point import PointToPoint, RandomPointToPointSettings
 from .scan import Raster, SinusoidScan, TriangleScan
+from .tissue import TissueMotion, on_tissue
 from .trajectory import Sampled, read_sampled
 
 
@@ -51,15 +52,37 @@ MOTIONS: Mapping[str, type[AnyMotion]] = {kind.model_fields["kind"].default: kin
 """Every kind of motion that a configuration can name."""
 
 
+class TissueSettings(Settings):
+    """Block `tissue`: shifts of a target, see `TissueMotion`; in the numbers of its motion.
+
+    Attributes:
+        breathing: greatest shift of x and y by a breath.
+        breath_s: duration of a breath [s].
+        heartbeat: greatest shift of x and y by a heartbeat.
+        beats_per_min: heart rate.
+    """
+
+    breathing: Point = (0.0, 0.0)
+    breath_s: Positive = 4.0
+    heartbeat: Point = (0.0, 0.0)
+    beats_per_min: Positive = 70.0
+
+    def build(self) -> TissueMotion:
+        """The shifts over time."""
+        return TissueMotion(self.breathing, self.breath_s, self.heartbeat, self.beats_per_min)
+
+
 class PlaneMotionSettings(TrajectorySettings):
     """Base of the settings of motions of two axes; points and sizes are angles x, y [deg], or mm with `length_mm`.
 
     Attributes:
         length_mm: length of the bending part: points and sizes are then tip positions x, y [mm], of a bend of constant
             curvature.
+        tissue: breathing and heartbeat that move the target; null for a target at rest.
     """
 
     length_mm: Positive | None = None
+    tissue: TissueSettings | None = None
 
     @abstractmethod
     def drawn(self) -> PlaneMotion:
@@ -71,7 +94,8 @@ class PlaneMotionSettings(TrajectorySettings):
         Raises:
             TrajectoryError: if it cannot be drawn, or a tip is out of reach.
         """
-        return self.drawn() if self.length_mm is None else through_tips(self.drawn(), self.length_mm)
+        motion = self.drawn() if self.tissue is None else on_tissue(self.drawn(), self.tissue.build())
+        return motion if self.length_mm is None else through_tips(motion, self.length_mm)
 
 
 class CircleSettings(PlaneMotionSettings):

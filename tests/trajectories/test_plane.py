@@ -24,6 +24,7 @@ from hystmpc.trajectories.plane import (
     through_tips,
 )
 from hystmpc.trajectories.ruckig_ import move_together
+from hystmpc.trajectories.tissue import TissueMotion, on_tissue
 from hystmpc.trials.errors import TrajectoryError
 from hystmpc.trials.tip import tip_from_angles
 
@@ -36,6 +37,8 @@ MOTIONS = {
     "ring": ring((0.0, 0.0), 12.0, 6, limits=LIMITS),
     "raster": raster((-8.0, -4.0), (8.0, 4.0), 4, limits=LIMITS),
 }
+BEATING = TissueMotion((3.0, -1.0), 3.7, (0.8, 0.5), 80.0)
+MOTIONS |= {f"{name} on tissue": on_tissue(MOTIONS[name], BEATING) for name in ("circle", "ring")}
 
 
 @pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
@@ -48,6 +51,30 @@ def test_a_motion_begins_and_ends_at_rest_and_has_no_jump(motion: PlaneMotion) -
     assert speed.max() < 100
     assert np.abs(np.diff(speed)).max() < 8.0
     np.testing.assert_array_equal(motion(0.3), motion(np.array([0.3]))[0])
+
+
+@given(st.floats(0, 60), st.floats(0.5, 9), st.floats(20, 200))
+def test_tissue_moves_periodically_between_rest_and_its_greatest_shift(t: float, breath: float, rate: float) -> None:
+    breathing, beating = TissueMotion((2.0, -1.0), breath), TissueMotion((0, 0), 4.0, (0.5, 0.0), rate)
+    for motion, period, size in ((breathing, breath, (2.0, -1.0)), (beating, 60 / rate, (0.5, 0.0))):
+        np.testing.assert_allclose(motion(t + period), motion(t), atol=1e-6)
+        np.testing.assert_allclose(motion(0.0), 0.0, atol=1e-15)
+        share = motion(t) / np.where(np.array(size) == 0, 1.0, size)
+        assert np.all((share >= 0) & (share <= 1))
+    np.testing.assert_allclose(breathing(breath / 2), (2.0, -1.0))
+
+
+def test_a_target_on_tissue_is_the_target_and_the_tissue() -> None:
+    moved, still = MOTIONS["ring on tissue"], MOTIONS["ring"]
+    t = np.linspace(1.0, still.duration_s - 1.0, 500)
+    np.testing.assert_allclose(moved(t), still(t) + BEATING(t), atol=1e-12)
+    block = {"kind": "ring", "centre": [0, 0], "radius": 12, "targets": 6}
+    tissue = {"breathing": [3, -1], "breath_s": 3.7, "heartbeat": [0.8, 0.5], "beats_per_min": 80}
+    settings = PLANE_MOTIONS["ring"]
+    motions = [settings.parse(block | more, "motion").build() for more in ({"tissue": tissue}, {})]
+    np.testing.assert_allclose(motions[0](3.0), motions[1](3.0) + BEATING(3.0), atol=1e-12)
+    with pytest.raises(TrajectoryError, match="positive breath_s"):
+        TissueMotion((1.0, 0.0), 0.0)
 
 
 @pytest.mark.parametrize("name", ["star", "ring", "raster"])
