@@ -110,6 +110,37 @@ class TipMap:
         """
         return cls(QuadraticMap.fit(theta_deg, x_mm), QuadraticMap.fit(theta_deg, y_mm))
 
+    @classmethod
+    def of_plane(cls, angles_deg: ArrayLike, tip_mm: ArrayLike) -> Self:
+        """Both parabolas of a part that bends alike in all planes, as a `BendShape` for `tip_from_angles`.
+
+        Args:
+            angles_deg: both bending angles (T, 2) [deg].
+            tip_mm: tip x, y, z (T, 3) [mm], straight along z.
+
+        Raises:
+            FitError: as `QuadraticMap.fit`, or on other shapes.
+        """
+        angles, tip = (np.asarray(v, dtype=np.float64) for v in (angles_deg, tip_mm))
+        if angles.ndim != 2 or angles.shape[1] != 2 or tip.shape != (len(angles), 3):
+            raise FitError(f"tip map: got shapes {angles.shape} and {tip.shape}, expected (T, 2) and (T, 3)")
+        bend = np.hypot(*angles.T)
+        aside = np.sum(angles * tip[:, :2], axis=1) / np.maximum(bend, 1e-12)
+        return cls.fit(bend, tip[:, 2], aside)
+
+    @property
+    def farthest_deg(self) -> float:
+        """Bend up to which the tip goes farther aside, 180 deg at most [deg]."""
+        return min(self.y.turning_deg, 180.0) if self.y.a < 0 else 180.0
+
+    def aside(self, bend_deg: ArrayLike) -> Vec:
+        """Y less that of a straight part [mm], by the bend [deg]."""
+        return np.asarray(self.y(bend_deg) - self.y.c)
+
+    def along(self, bend_deg: ArrayLike) -> Vec:
+        """X [mm] by the bend [deg]."""
+        return self.x(bend_deg)
+
     def __call__(self, theta_deg: ArrayLike) -> tuple[Vec, Vec]:
         """X and Y [mm], each of the shape of `theta_deg` [deg]."""
         return self.x(theta_deg), self.y(theta_deg)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hystmpc.trials.errors import TrajectoryError
-from hystmpc.trials.tip import angles_from_tip_aside
+from hystmpc.trials.tip import BendShape, angles_from_tip_aside
 from hystmpc.trials.types import Vec
 
 from .motion import Kinematics, MotionLimits, PiecewiseCubic, hold
@@ -145,17 +145,17 @@ def raster(
     return through_points(points, hold_s, limits)
 
 
-def through_tips(motion_mm: PlaneMotion, length_mm: float) -> PlaneMotion:
-    """Angles whose tip follows a motion of x and y in mm, of a bending part of constant curvature; see `trials.tip`.
+def through_tips(motion_mm: PlaneMotion, length_mm: float | BendShape) -> PlaneMotion:
+    """Angles whose tip follows a motion of x and y in mm; see `trials.tip`.
 
     Args:
         motion_mm: any motion of this module, made of numbers in mm: `through_tips(spiral((0, 0), 12.0, 4.0), 60.0)`.
-        length_mm: of the bending part.
+        length_mm: of the bending part, which has constant curvature; or another shape, such as a fitted `TipMap`.
 
     Raises:
         TrajectoryError: if the motion leaves the reach, .7246 of the length aside, or the length is not positive.
     """
-    if not (np.isfinite(length_mm) and length_mm > 0):
+    if isinstance(length_mm, float | int) and not (np.isfinite(length_mm) and length_mm > 0):
         raise TrajectoryError(f"length_mm: got {length_mm}, expected a positive number")
     angles_from_tip_aside(motion_mm(np.linspace(0.0, motion_mm.duration_s, _LOOKED_AT)), length_mm)
     return PlaneMotion(lambda t: angles_from_tip_aside(motion_mm(t), length_mm), motion_mm.duration_s)

@@ -3,7 +3,8 @@
     python lab/benchmarks/tendons.py [--continuum train.csv] [--trunk FOLDER] [--kinds pi auto]
 
 `--continuum` is a robot of three segments with three tendons each, a row every 0.57 s; the last quarter of its rows is
-withheld. Errors are distances of the tip [mm] of an arc whose length fits the rows seen. Beside them stand a line and a
+withheld. Errors are distances of the tip [mm], of an arc whose length fits the rows seen, and by a fitted quadratic map.
+Beside them stand a line and a
 quadratic polynomial from the nine tendons to the tip, without memory. `--trunk` is a soft trunk with six motors under
 two payloads; the last two fifths of each log are withheld, and the payload is an input. Errors are those of both angles
 together [deg].
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.kinds.kind import FitRequest
+from hystmpc.models.maps import TipMap
 from hystmpc.models.two_axes.evaluate import evaluate_two_axes
 from hystmpc.models.two_axes.identify import TwoAxisFit, fit_two_axes
 from hystmpc.trials.axes import both_axes
@@ -68,7 +70,9 @@ def continuum(file: Path, kinds: Sequence[str]) -> None:
     for kind in kinds:
         fit = fit_two_axes(kind_named(kind), [seen], FitRequest())
         run = evaluate_two_axes(fit.model, test)
-        rows.append([f"{kind}: {parts(fit)}", f"{distance(tip_from_angles(run.theta, length), later):.1f}", joint(fit)])
+        for name, shape in (("arc", length), ("quadratic map", TipMap.of_plane(seen.angles, at))):
+            error = distance(tip_from_angles(run.theta, shape), later)
+            rows.append([f"{kind}, {name}: {parts(fit)}", f"{error:.1f}", joint(fit)])
     show(["model", "mean error of the tip [mm]", "joined by"], rows, f"withheld rows, arc of {length:g} mm")
 
 

@@ -11,8 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc import read_trials
+from hystmpc.models.maps import QuadraticMap, TipMap
 from hystmpc.trials.axes import both_axes
-from hystmpc.trials.errors import ConfigError, HystmpcError, LogError, TrajectoryError
+from hystmpc.trials.errors import ConfigError, FitError, HystmpcError, LogError, TrajectoryError
 from hystmpc.trials.layouts import LogMapping
 from hystmpc.trials.tip import FARTHEST_DEG, angles_from_bend, angles_from_tip, angles_from_tip_aside, tip_from_angles
 
@@ -56,6 +57,30 @@ def test_a_tip_beyond_the_farthest_bend_is_refused_in_a_line(length: float, plan
         with pytest.raises(TrajectoryError, match="reach") as refused:
             angles_from_tip_aside(beyond, length)
         assert len(str(refused.value)) <= 300
+
+
+MAP = TipMap(QuadraticMap(-3.6e-3, -4.6e-2, 70.5), QuadraticMap(-3.3e-3, 0.77, 0.2))
+
+
+@given(st.floats(0.0, 110.0), planes)
+def test_a_fitted_shape_stands_in_the_place_of_an_arc(bend: float, plane: float) -> None:
+    """Alike in all planes: the tip is in the plane of the bend, and the angles follow from it."""
+    angles = angles_from_bend(bend, plane)
+    tip = tip_from_angles(angles, MAP)
+    np.testing.assert_allclose(np.hypot(*tip[:2]), MAP.y(bend) - MAP.y.c, atol=1e-9)
+    np.testing.assert_allclose(tip[2], MAP.x(bend))
+    np.testing.assert_allclose(angles_from_tip_aside(tip[:2], MAP), angles, atol=1e-6)
+
+
+def test_a_shape_is_fitted_to_positions_in_all_planes() -> None:
+    random = np.random.default_rng(2)
+    angles = angles_from_bend(random.uniform(0, 100, 400), random.uniform(-180, 180, 400))
+    seen = TipMap.of_plane(angles, tip_from_angles(angles, MAP) + 0.2 * random.standard_normal((400, 3)))
+    np.testing.assert_allclose(tip_from_angles(angles, seen), tip_from_angles(angles, MAP), atol=0.25)
+    with pytest.raises(TrajectoryError, match="reach"):
+        angles_from_tip_aside((80.0, 0.0), MAP)
+    with pytest.raises(FitError, match="expected \\(T, 2\\)"):
+        TipMap.of_plane(angles[:, 0], angles)
 
 
 def test_a_tip_behind_its_base_has_no_plane() -> None:
