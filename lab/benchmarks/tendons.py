@@ -4,8 +4,8 @@
 
 `--continuum` is a robot of three segments with three tendons each, a row every 0.57 s; the last quarter of its rows is
 withheld. Errors are distances of the tip [mm], of an arc whose length fits the rows seen, and by a fitted quadratic
-map. Beside them stand a line and a quadratic polynomial from the nine tendons to the tip, without memory. `--trunk` is a
-soft trunk with six motors under two payloads; the last two fifths of each log are withheld, and the payload is an
+map. Beside them stand a line and a quadratic polynomial from the nine tendons to the tip, without memory. `--trunk` is
+a soft trunk with six motors under two payloads; the last two fifths of each log are withheld, and the payload is an
 input. Errors are those of both angles together [deg].
 """
 
