@@ -262,8 +262,8 @@ def export_fmu(call: Call) -> None:
     calls = f"; calls {', '.join(made.functions)} of <math.h>" if made.functions else ""
     left_out = f"; left out: {', '.join(made.left_out)}" if made.left_out else ""
     line(
-        f"{call.out}: FMI {call.fmi}, co-simulation, a step every {facts.sample_s:g} s, command [{facts.command_unit}] "
-        f"to {facts.output} [{facts.output_unit}]; {binaries}{calls}{left_out}"
+        f"{call.out}: FMI {call.fmi}, co-simulation, a step every {facts.sample_s:g} s, {facts.signals}; "
+        f"{binaries}{calls}{left_out}"
     )
 
 
