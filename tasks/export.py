@@ -29,11 +29,13 @@ if TYPE_CHECKING:
     from .fit import Fit
 
 
-def export(model: Fit | Simulator | Path | str, out: Path | str, *, force: bool = False) -> EquivalenceReport:
+def export(
+    model: Fit | Simulator | TwoAxisModel | Path | str, out: Path | str, *, force: bool = False
+) -> EquivalenceReport:
     """Write a model as an ONNX file of one stateful step, after a numeric comparison with its reference.
 
     Args:
-        model: a fit, a simulator or a simulator file.
+        model: a fit, a simulator, a model of two axes, or a file of either.
         out: the ONNX file to write.
         force: replace an older file of the same kind; never one of another.
 
@@ -48,12 +50,18 @@ def export(model: Fit | Simulator | Path | str, out: Path | str, *, force: bool 
     from hystmpc.models.contract.export import export_onnx
     from hystmpc.models.load import model_path
     from hystmpc.models.simulator import export_simulator, load_simulator
+    from hystmpc.models.two_axes.exported import export_two_axes
+    from hystmpc.models.two_axes.model import TwoAxisModel, has_two_axes, load_two_axes
 
     from .fit import Fit
 
     check_output("--out", out, (MODEL,), [Path(model)] if isinstance(model, Path | str) else (), force)
     if isinstance(model, Fit):
         return export_onnx(model.identified.bundle, out)
+    if isinstance(model, TwoAxisModel):
+        return export_two_axes(model, out)
+    if isinstance(model, Path | str) and has_two_axes(model):
+        return export_two_axes(load_two_axes(model), out)
     return export_simulator(load_simulator(model_path(str(model))) if isinstance(model, Path | str) else model, out)
 
 
