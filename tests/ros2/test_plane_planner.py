@@ -201,6 +201,18 @@ def test_a_dead_sensor_of_one_axis_latches_the_stop_of_both(axis: int, plane: Wo
     assert math.isfinite(plane.states[-1].measured_deg[axis])
 
 
+def test_a_silent_device_latches_the_stop_and_the_node_goes_on(plane: World) -> None:
+    plane.start().turns(10)
+    before = plane.states[-1].measured_deg
+    plane.device.silent = True
+    state = plane.turns(20)
+    assert state.stopped
+    assert "sensor dead" in state.status
+    assert state.measured_deg == pytest.approx(before, abs=0.1)
+    plane.turns(60)
+    assert plane.device.held == pytest.approx(SAFE, abs=1e-9)
+
+
 def test_a_device_off_its_model_latches_the_stop(plane: World) -> None:
     plane.graph.parameters = {**plane.graph.parameters, "model_error_deg": 5.0, "watch_motion": False}
     plane.start().turns(30)

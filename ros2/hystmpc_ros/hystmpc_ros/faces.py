@@ -11,7 +11,7 @@ from hystmpc_msgs.msg import PlaneTipState, TipState
 from hystmpc_msgs.srv import SetPlaneReference, SetPlaneTarget, SetReference, SetTarget
 from std_msgs.msg import Float64, Float64MultiArray
 
-from hystmpc.rig.axes import each, from_array
+from hystmpc.rig.axes import each, from_array, spread, together
 from hystmpc.trials.errors import ControllerError
 
 
@@ -45,15 +45,14 @@ def face(axes: int) -> Face:
 
 def seen(newest: Any, before: Any) -> Any:
     """The newest measurement, and where it is no number, of each axis, the one before."""
-    pairs = zip(each(from_array(newest)), each(from_array(before)), strict=True)
-    values = [one if math.isfinite(one) else other for one, other in pairs]
-    return values[0] if len(values) == 1 else tuple(values)
+    known = each(from_array(before))
+    pairs = zip(spread(from_array(newest), len(known)), known, strict=True)
+    return together(one if math.isfinite(one) else other for one, other in pairs)
 
 
 def less(one: Any, other: Any) -> Any:
     """Difference of two numbers, or of two pairs."""
-    parts = [a - b for a, b in zip(each(from_array(one)), each(from_array(other)), strict=True)]
-    return parts[0] if len(parts) == 1 else tuple(parts)
+    return together(a - b for a, b in zip(each(from_array(one)), each(from_array(other)), strict=True))
 
 
 def _pair(value: Any) -> list[float]:

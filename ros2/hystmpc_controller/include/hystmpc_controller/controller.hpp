@@ -24,7 +24,7 @@ using Target = std_msgs::msg::Float64MultiArray;  // of two axes: x and y
 using Target = std_msgs::msg::Float64;
 #endif
 
-// One tip angle, driven by one command; or two angles, driven by two to six commands, where the exported C has two axes.
+// One tip angle, driven by one command; or two angles, driven by several commands, where the exported C has two axes.
 // The wanted angles come from the topic ~/target, or from a controller before this one by the reference interfaces. An update takes no memory and waits for nothing. What it writes is a finite command
 // within the limits that were exported, on rate from what stands at the command interface. It writes nothing where another
 // has written there, or after a pause, and goes on from there in the next one; and nothing where that is no admissible
