@@ -165,11 +165,9 @@ class _Wire:
             number = (self._sequence if sequence is None else sequence) & 0xFFFFFFFF
             header = Header(stamp=Time(*stamp(now)), frame_id=note)
             self._writer.write(self._kind(header, self.session, number, data, held_there))
-        elif self._axes == 1:
-            self._writer.write(self._kind(data))
-        else:
-            layout: Any = MultiArrayLayout
-            self._writer.write(self._kind(layout([], 0), data))
+            return
+        layout: Any = MultiArrayLayout
+        self._writer.write(self._kind(data) if self._axes == 1 else self._kind(layout([], 0), data))
 
     def take(self) -> Any | None:
         samples = self._reader.take(1)
