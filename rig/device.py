@@ -102,13 +102,11 @@ class PlaneDeviceSettings(DeviceSettings):
         sensor: both angles in every message.
         limits: of both drives, a list each; commands beyond are clipped and counted.
         wire: units on the wire.
-        link: address of the device.
     """
 
     sensor: ContinuousSensorSettings = ContinuousSensorSettings()  # pyright: ignore[reportIncompatibleVariableOverride]
     limits: PlaneLimitsSettings  # type: ignore[assignment]  # pyright: ignore[reportIncompatibleVariableOverride]  # settings are frozen
     wire: PlaneWireUnits = PlaneWireUnits()  # pyright: ignore[reportIncompatibleVariableOverride]
-    link: UdpListenSettings  # pyright: ignore[reportIncompatibleVariableOverride]
 
 
 @dataclass(frozen=True)

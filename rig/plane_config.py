@@ -25,7 +25,7 @@ from .transports.simulated import SimulatedSettings
 from .transports.transport import PlaneWireUnits
 
 Both = Annotated[tuple[float, float], OfBothAxes]
-_TRANSPORTS = ("udp", "simulated")
+_TRANSPORTS = ("udp", "dds", "simulated")
 
 
 class PlaneMoveSettings(Settings):
@@ -59,7 +59,7 @@ class PlaneBenchSettings(BenchSettings):
         stop_overshoot: as of one axis; null takes the smaller of 0.2 and 2 % of the smaller range of `limits`.
         sensor: plausibility of both angles; a continuous sensor.
         wire: units of the device.
-        transport: of kind udp or simulated.
+        transport: of kind udp, dds or simulated.
         prepare: steps before the first sample of the experiment: `move` and `relaxation`.
     """
 
@@ -75,7 +75,7 @@ class PlaneBenchSettings(BenchSettings):
             raise ValueError(f"got sensor.kind {self.sensor.kind}, expected continuous for two axes")
         if self.transport.kind not in _TRANSPORTS:
             raise ValueError(
-                f"got transport.kind {self.transport.kind}, expected {' or '.join(_TRANSPORTS)} for two axes"
+                f"got transport.kind {self.transport.kind}, expected {', '.join(_TRANSPORTS)} for two axes"
             )
         if isinstance(self.transport, SimulatedSettings) and self.transport.sensor.kind != "continuous":
             raise ValueError(f"got transport.sensor {self.transport.sensor.kind}, expected continuous for two axes")

@@ -87,7 +87,7 @@ def run_bench(
         ConfigError: if the stop is latched, the device does not answer, or settings do not fit it; nothing has moved.
     """
     if transport is not None and len(settings.axes_limits) > 1:
-        raise ConfigError(f"{settings.name}: got a transport of your own, expected kind udp or simulated for two axes")
+        raise ConfigError(f"{settings.name}: got a transport of your own, expected udp, dds or simulated for two axes")
     if transport is not None:
         settings = settings.model_copy(update={"transport": PythonSettings.of(transport)})
     control = control_process(settings.realtime) if clock is None else nullcontext(list[str]())

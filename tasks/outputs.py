@@ -58,7 +58,7 @@ def _of_fmu(path: Path) -> str:
     return "hystmpc" if 'generationTool="hystmpc' in description else ""
 
 
-MODEL = Output("an ONNX model of hystmpc", (".onnx",), _of_model, ("hystmpc-model/",))
+MODEL = Output("an ONNX model of hystmpc", (".onnx",), _of_model, ("hystmpc-model/", "hystmpc-two-axes-model/"))
 SIMULATOR = Output("a simulator file", (".yaml", ".yml"), _of_data, ("hystmpc-simulator/", "hystmpc-two-axes/"))
 _EVALUATIONS = ("hystmpc-evaluation/", "hystmpc-inverse-evaluation/", "hystmpc-two-axis-evaluation/")
 EVALUATION = Output("an evaluation", (".json",), _of_data, _EVALUATIONS)

@@ -1,5 +1,6 @@
-"""Export of a simulator (a chain of operators) as a co-simulation FMU."""
+"""Export of a simulator (a chain of operators, or two axes of them) as a co-simulation FMU."""
 
-from .export import FmuExport, FmuVersion, export_fmu
+from .device import DeviceInPlane
+from .export import FmuExport, FmuVersion, export_fmu, export_fmu_in_plane
 
-__all__ = ["FmuExport", "FmuVersion", "export_fmu"]
+__all__ = ["DeviceInPlane", "FmuExport", "FmuVersion", "export_fmu", "export_fmu_in_plane"]

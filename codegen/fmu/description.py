@@ -8,8 +8,14 @@ from types import MappingProxyType
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
-TIME, COMMAND, OUTPUT = 0, 1, 2
-"""Value references, as in c/device.c."""
+import numpy as np
+
+TIME, COMMAND = 0, 1
+"""Value references, as in c/device.c: the commands follow each other, and the outputs follow them."""
+
+AXES = "xy"
+Numbers = float | tuple[float, ...]
+"""Of the command of one axis, or of each of n commands."""
 
 # Factor and exponents of the SI base units; a unit that is not here is written without them.
 _BASE_UNITS: Mapping[str, Mapping[str, str]] = MappingProxyType(
@@ -38,8 +44,8 @@ class Described:
     Attributes:
         name, identifier: for people, and for C and file names.
         chain: its operators in the order of the signal.
-        limits: least and greatest command.
-        rest_command: command before the first one is set.
+        limits: least and greatest command; of two axes of each command.
+        rest_command: command before the first one is set; of two axes each.
         tool: program that wrote the FMU.
         token: instantiation token, equal in binary and description.
     """
@@ -50,23 +56,40 @@ class Described:
     sample_s: float
     command_unit: str
     output_unit: str
-    limits: tuple[float, float]
-    rest_command: float
+    limits: tuple[Numbers, Numbers]
+    rest_command: Numbers
     tool: str
     token: str = ""
 
     @property
-    def output(self) -> str:
-        """Name of the output variable; `angle` if its unit is deg."""
-        return "angle" if self.output_unit == "deg" else "output"
+    def commands(self) -> tuple[str, ...]:
+        """Names of the input variables: `command`; of two axes those of the log, of more than two commands numbered."""
+        if not isinstance(self.rest_command, tuple):
+            return ("command",)
+        count = len(self.rest_command)
+        return (
+            tuple(f"command_{axis}" for axis in AXES)
+            if count == 2
+            else tuple(f"command[{k + 1}]" for k in range(count))
+        )
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the output variables: `angle` if the unit is deg; of two axes those of the log."""
+        if not isinstance(self.rest_command, tuple):
+            return ("angle" if self.output_unit == "deg" else "output",)
+        return tuple(f"angle_{axis}_deg" if self.output_unit == "deg" else f"output_{axis}" for axis in AXES)
+
+    @property
+    def signals(self) -> str:
+        """Inputs and outputs with their units, in words."""
+        inputs, outputs = ", ".join(self.commands), ", ".join(self.outputs)
+        return f"{inputs} [{self.command_unit}] to {outputs} [{self.output_unit}]"
 
     @property
     def words(self) -> str:
         """One-line description of the device."""
-        return (
-            f"{self.chain}; command [{self.command_unit}] to {self.output} [{self.output_unit}], "
-            f"a step every {self.sample_s:g} s; without the noise of a sensor"
-        )
+        return f"{self.chain}; {self.signals}, a step every {self.sample_s:g} s; without the noise of a sensor"
 
 
 def model_description(described: Described, version: str, source: str) -> str:
@@ -98,12 +121,7 @@ def model_description(described: Described, version: str, source: str) -> str:
             SubElement(SubElement(variables, "ScalarVariable", shared), "Real", real)
         else:
             SubElement(variables, "Float64", {**shared, **real})
-    structure = SubElement(root, "ModelStructure")
-    for group in ("Output", "InitialUnknown"):
-        if two:  # the index counts variables from one
-            SubElement(SubElement(structure, f"{group}s"), "Unknown", index=str(OUTPUT + 1), dependencies="")
-        else:
-            SubElement(structure, group, valueReference=str(OUTPUT), dependencies="")
+    _add_structure(root, described, two)
     return _text(root)
 
 
@@ -118,20 +136,33 @@ def build_description(described: Described, source: str) -> str:
 
 
 def _variables(described: Described) -> list[tuple[dict[str, str], dict[str, str]]]:
-    low, high = described.limits
-    held = {"min": repr(low), "max": repr(high), "start": repr(described.rest_command)}
-    rows = [
-        (TIME, "time", "independent", "", "s", {}),
-        (COMMAND, "command", "input", "held over each step", described.command_unit, held),
-        (OUTPUT, described.output, "output", "true value at the end of each step", described.output_unit, {}),
-    ]
+    low, high = (np.atleast_1d(ends).tolist() for ends in described.limits)
+    rest, true = np.atleast_1d(described.rest_command).tolist(), "true value at the end of each step"
+    rows: list[tuple[str, str, str, str, dict[str, str]]] = [("time", "independent", "", "s", {})]
+    for name, least, most, start in zip(described.commands, low, high, rest, strict=True):
+        held = {"min": repr(least), "max": repr(most), "start": repr(start)}
+        rows.append((name, "input", "held over each step", described.command_unit, held))
+    rows += [(name, "output", true, described.output_unit, {}) for name in described.outputs]
     variables = []
-    for reference, name, causality, text, unit, more in rows:
+    for reference, (name, causality, text, unit, more) in enumerate(rows, TIME):
         shared = {"name": name, "valueReference": str(reference), "causality": causality, "variability": "continuous"}
         shared |= {"description": text} if text else {}
-        shared |= {"initial": "calculated"} if reference == OUTPUT else {}
+        shared |= {"initial": "calculated"} if causality == "output" else {}
         variables.append((shared, {"unit": unit, **more}))
     return variables
+
+
+def _add_structure(root: Element, described: Described, two: bool) -> None:
+    first = COMMAND + len(described.commands)
+    references = range(first, first + len(described.outputs))
+    structure = SubElement(root, "ModelStructure")
+    for group in ("Output", "InitialUnknown"):
+        place = SubElement(structure, f"{group}s") if two else structure
+        for reference in references:
+            if two:  # the index counts variables from one
+                SubElement(place, "Unknown", index=str(reference + 1), dependencies="")
+            else:
+                SubElement(place, group, valueReference=str(reference), dependencies="")
 
 
 def _add_units(root: Element, described: Described) -> None:

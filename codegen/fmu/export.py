@@ -12,15 +12,9 @@ from importlib import resources
 from importlib.metadata import version as version_of
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
-import numpy as np
-
-from hystmpc.core.chain import ChainCode
-from hystmpc.core.library import engine
-from hystmpc.models.operators.measurement import Sensor
 from hystmpc.models.simulator import Simulator
-from hystmpc.models.stages import operator_program
 from hystmpc.trials.errors import ExportError, did_you_mean
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.json_text import text_hash
@@ -28,8 +22,9 @@ from hystmpc.trials.types import Vec
 
 from ..amalgam import ONE_FILE, amalgam
 from ..compiler import compiler, shared_library, zig
-from ..literals import functions_called, number, table
+from ..literals import number
 from .description import Described, build_description, model_description
+from .device import DeviceInPlane, DeviceText, text_in_plane, text_of
 
 FmuVersion = Literal["2.0", "3.0"]
 
@@ -38,6 +33,8 @@ _HEADERS: Mapping[str, tuple[str, ...]] = {
     "3.0": ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
 }
 _SOURCE = "fmu.c"
+_ENGINE = ("program.c", "inverse.c")
+_SECTION = re.compile(r"^@(\w+)@\n", re.MULTILINE)
 _OLDEST = (1980, 1, 1, 0, 0, 0)  # of a zip file: equal devices give equal bytes
 
 
@@ -127,7 +124,9 @@ def export_fmu(
     Raises:
         ExportError: where the simulator is an inverse map or has a sensor, a platform is unknown, or a compiler fails.
     """
-    _check(simulator, version)
+    _check(version)
+    held = simulator.rests_at if rest_command is None else rest_command
+    text = text_of(simulator, rest, held)
     described = Described(
         name=name,
         identifier=_identifier(name),
@@ -136,54 +135,65 @@ def export_fmu(
         command_unit=simulator.command_unit,
         output_unit=simulator.angle_unit,
         limits=(simulator.command_limits.lower, simulator.command_limits.upper),
-        rest_command=simulator.rests_at if rest_command is None else rest_command,
+        rest_command=held,
         tool=f"hystmpc {version_of('hystmpc')}",
     )
-    code = _chain_code(simulator)
-    step = _tables(code, code.prepare(simulator.chain.values.reshape(-1, 1), simulator.dt_s))
-    described = replace(described, token=_token(described, step, rest, version))
-    sources = _sources(described, step, rest, version)
+    token = _token((described, text.tables, rest[0], rest[1].tolist(), version))
+    return _exported(replace(described, token=token), text, version, platforms)
+
+
+def export_fmu_in_plane(
+    device: DeviceInPlane,
+    *,
+    name: str = "device",
+    version: FmuVersion = "2.0",
+    platforms: Sequence[str] | None = None,
+) -> FmuExport:
+    """Export a device of two axes as a co-simulation FMU: all commands in, both angles out; see `export_fmu`.
+
+    Raises:
+        ExportError: as `export_fmu`, for either axis.
+    """
+    _check(version)
+    model, text = device.model, text_in_plane(device)
+    parts = [*device.drive, *(operator for axis in model.axes for operator in axis.chain.operators)]
+    low, high = (tuple(getattr(one, end) for one in model.command_limits) for end in ("lower", "upper"))
+    described = Described(
+        name=name,
+        identifier=_identifier(name),
+        chain="two axes: " + " + ".join(dict.fromkeys(operator.name for operator in parts)),
+        sample_s=model.dt_s,
+        command_unit=model.axes[0].command_unit,
+        output_unit=model.axes[0].angle_unit,
+        limits=(low, high),
+        rest_command=tuple(model.rest_commands),
+        tool=f"hystmpc {version_of('hystmpc')}",
+    )
+    token = _token((described, text.rest, text.tables, version))
+    return _exported(replace(described, token=token), text, version, platforms)
+
+
+def _exported(
+    described: Described, text: DeviceText, version: FmuVersion, platforms: Sequence[str] | None
+) -> FmuExport:
+    sources = _sources(described, text, version)
     made = _binaries(described.identifier, sources, version, platforms)
     files = {
         "modelDescription.xml": model_description(described, version, _SOURCE),
         **({"sources/buildDescription.xml": build_description(described, _SOURCE)} if version == "3.0" else {}),
-        **{f"sources/{file}": text for file, text in sources.items()},
+        **{f"sources/{file}": content for file, content in sources.items()},
     }
     return FmuExport(
         described,
-        {**{path: text.encode() for path, text in files.items()}, **{path: made[path] for path in made}},
+        {**{path: content.encode() for path, content in files.items()}, **made},
         tuple(key for key, platform in PLATFORMS.items() if platform.path(described.identifier, version) in made),
-        functions_called(code.code.tolist()),
+        text.functions,
     )
 
 
-def _chain_code(simulator: Simulator) -> ChainCode:
-    """The simulator's operators as numbers, without their states at rest: that at the start is known."""
-    none: dict[str, Any] = {"rest": np.empty(0, dtype=np.intc), "rest_constants": np.empty(0)}
-    return ChainCode([replace(operator_program(operator), **none) for operator in simulator.chain.operators])
-
-
-def _tables(code: ChainCode, kept: Vec) -> str:
-    """C text of a chain for `hystmpc_chain_step`, and of the room that a step needs."""
-    room = -(-int(engine().chain_single_bytes(code.code)) // 8)  # pointers of no machine are longer than ours
-    return "\n".join(
-        [
-            f"#define HYSTMPC_ROOM {room} /* doubles of a step */",
-            table("device_chain", "int", map(str, code.code.tolist())),
-            table("device_kept", "real", map(number, kept.ravel().tolist())),
-        ]
-    )
-
-
-def _check(simulator: Simulator, version: str) -> None:
+def _check(version: str) -> None:
     if version not in get_args(FmuVersion):
         raise ExportError(f"export-fmu: got FMI {version}, expected 2.0 or 3.0")
-    if simulator.metadata().inverse:
-        raise ExportError("export-fmu: got an inverse map, supported are simulators of a device: command to angle")
-    if names := ", ".join(one.name for one in simulator.chain.inputs):
-        raise ExportError(f"export-fmu: the simulator depends on {names}, supported are those without measured inputs")
-    if any(isinstance(operator, Sensor) for operator in simulator.chain.operators):
-        raise ExportError("export-fmu: got a sensor in the chain, supported is the true angle: take the sensor out")
 
 
 def _identifier(name: str) -> str:
@@ -191,32 +201,37 @@ def _identifier(name: str) -> str:
     return plain if re.match("[A-Za-z]", plain) else f"device_{plain}".rstrip("_")
 
 
-def _token(described: Described, step: str, rest: tuple[float, Vec], version: str) -> str:
+def _token(device: tuple[object, ...]) -> str:
     """Instantiation token of the device; an FMU with another token refuses its states."""
-    text = repr((described, step, rest[0], rest[1].tolist(), version))
-    digits = text_hash(text)
+    digits = text_hash(repr(device))
     return "{" + "-".join((digits[:8], digits[8:12], digits[12:16], digits[16:20], digits[20:32])) + "}"
 
 
-def _sources(described: Described, step: str, rest: tuple[float, Vec], version: str) -> Mapping[str, str]:
+def _sources(described: Described, text: DeviceText, version: str) -> Mapping[str, str]:
     major = version[0]
     head = [
         f"/* {described.chain}, {described.sample_s:g} s.",
         f" * Written by {described.tool}; any change is lost at the next export. */",
         *([f"#define FMI3_FUNCTION_PREFIX {described.identifier}_"] if version == "3.0" else []),
         ONE_FILE,
-        amalgam(("program.c", "inverse.c")),
+        amalgam((*_ENGINE, *text.engine)),
         f'#define HYSTMPC_TOKEN "{described.token}"',
         f"#define HYSTMPC_SAMPLE_S {number(described.sample_s)}",
-        f"#define HYSTMPC_STATES {rest[1].size}",
-        f"#define HYSTMPC_REST {{{', '.join(number(float(value)) for value in rest[1])}}}",
-        f"#define HYSTMPC_REST_OUTPUT {number(rest[0])}",
-        f"#define HYSTMPC_REST_COMMAND {number(described.rest_command)}",
+        text.rest,
         "",
-        step,
+        text.tables,
     ]
-    parts = ["\n".join(head), _packaged("device.c"), _packaged(f"fmi{major}.c")]
+    parts = ["\n".join(head), _device(text.part), _packaged(f"fmi{major}.c")]
     return {_SOURCE: "\n".join(parts), **{header: _packaged(header) for header in _HEADERS[version]}}
+
+
+def _device(part: str) -> str:
+    """Text of device.c, completed by the sections of a part, each behind a line `@NAME@`."""
+    _, *sections = _SECTION.split(_packaged(f"{part}.c"))
+    text = _packaged("device.c")
+    for name, section in zip(sections[::2], sections[1::2], strict=True):
+        text = text.replace(f"@{name}@\n", section)
+    return text
 
 
 def _packaged(name: str) -> str:

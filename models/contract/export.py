@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -87,11 +87,20 @@ def export_onnx(bundle: ExportBundle, path: Path | str) -> EquivalenceReport:
         raise ExportError(f"{error}; nothing was written") from None
     except ExportError as error:
         raise ExportError(f"{path}: {error}; nothing was written") from None
+    write_model(path, content)
+    return report
+
+
+def write_model(path: Path | str, content: bytes) -> None:
+    """Write a model file, whole or not at all.
+
+    Raises:
+        ExportError: if it cannot be written.
+    """
     try:
         write_atomically(path, content)
     except OSError as error:
         raise ExportError(f"{path}: cannot be written ({error.strerror})") from None
-    return report
 
 
 def model_bytes(bundle: ExportBundle) -> bytes:
@@ -101,6 +110,11 @@ def model_bytes(bundle: ExportBundle) -> bytes:
 
 def graph_bytes(graph: onnx.GraphProto, facts: ModelMetadata) -> bytes:
     """Content of the model file of a graph with its metadata."""
+    return with_properties(graph, facts.to_properties())
+
+
+def with_properties(graph: onnx.GraphProto, properties: Mapping[str, str]) -> bytes:
+    """Content of the model file of a graph with these entries of `metadata_props`."""
     import onnx.helper
 
     from .load import IR_VERSION, OPSET
@@ -111,7 +125,7 @@ def graph_bytes(graph: onnx.GraphProto, facts: ModelMetadata) -> bytes:
         opset_imports=[onnx.helper.make_opsetid("", OPSET)],
         ir_version=IR_VERSION,
     )
-    onnx.helper.set_model_props(proto, facts.to_properties())
+    onnx.helper.set_model_props(proto, dict(properties))
     return proto.SerializeToString(deterministic=True)
 
 
@@ -127,8 +141,30 @@ _NUDGE, _NUDGES, _LOOSE = 1e-5, 16, 1e-3
 _JACOBIAN_TOLERANCE = {"float32": (1e-3, 1e-4), "float64": (1e-9, 1e-9)}  # relative, absolute
 
 Step = Callable[[Vec, Vec], tuple[Vec, Vec]]
-Output = tuple[float, str]
-"""Units of theta in one working unit, and their name."""
+Output = tuple[float, str, int]
+"""Units of theta in one working unit, their name, and the number of outputs."""
+
+
+@dataclass(frozen=True, eq=False)
+class ExportedStep:
+    """Step graph that is compared with its reference; of several axes with as many commands and angles as it has.
+
+    Attributes:
+        advance: in onnxruntime.
+        function: in CasADi.
+        start: state (1, S) of the free run.
+        command_unit, angle_unit: log units in one working unit, see `Decades`.
+        unit_name: of the angle.
+        precision: float32 or float64, the least precise number type in the graph.
+    """
+
+    advance: Step
+    function: ca.Function
+    start: Vec
+    command_unit: float
+    angle_unit: float
+    unit_name: str
+    precision: str
 
 
 @dataclass(frozen=True)
@@ -167,27 +203,36 @@ def check_equivalence(reference: StepFunction, model: OnnxModel, probe: Vec) -> 
     Raises:
         ExportError: on the first disagreement; names implementation, worst step and numbers.
     """
-    function = model.casadi_function()
-    commands = np.resize(probe, STEPS)
-    units = _working_units(model.metadata)
-    out = (units[1], model.metadata.angle_unit)
     angle = model.metadata.trained_angle  # the run starts at the angle of this range that is nearest to zero
     start = model.metadata.initial.state(np.clip([[0.0]], angle.lower, angle.upper))
+    units, name = _working_units(model.metadata), model.metadata.angle_unit
+    step = ExportedStep(model.advance, model.casadi_function(), start, *units, name, _precision(model))
+    return compare_steps(reference, step, np.resize(probe, STEPS)[:, None])
+
+
+def compare_steps(reference: StepFunction, step: ExportedStep, commands: Vec) -> EquivalenceReport:
+    """Compare a step with its reference over commands (T, nu), as `check_equivalence` says.
+
+    Raises:
+        ExportError: on the first disagreement.
+    """
+    function, start = step.function, step.start
+    out = (step.angle_unit, step.unit_name, function.numel_out(0))
     expected = _free_run(reference.advance, start, commands)
-    visited = np.vstack([start, expected[:-1, 1:]])
+    visited = np.vstack([start, expected[:-1, out[2] :]])
     rng = np.random.default_rng(0)
     worst = {}
-    for name, step in (("onnxruntime", model.advance), ("CasADi", _casadi_step(function))):
-        single = _single_steps(reference, step, visited, commands, out, rng, name)
+    for name, run in (("onnxruntime", step.advance), ("CasADi", _casadi_step(function))):
+        single = _single_steps(reference, run, visited, commands, out, rng, name)
         try:
-            free = _compare(expected, _free_run(step, start, commands), out, f"{name} on its own, sample")
+            free = _compare(expected, _free_run(run, start, commands), out, f"{name} on its own, sample")
         except ExportError as error:
             reason = _amplification(reference, start, commands, expected, single[1], out)
             raise ExportError(f"{error}; {reason}") from None
         worst[name] = np.maximum(single, free)
-    jacobian, kinks = _compare_jacobians(reference, function, visited, commands, _precision(model), units)
+    jacobian, kinks = _compare_jacobians(reference, step, visited, commands)
     return EquivalenceReport(
-        steps=STEPS,
+        steps=len(commands),
         batches=(1, BATCH),
         runtime_deg=float(worst["onnxruntime"][0]),
         casadi_deg=float(worst["CasADi"][0]),
@@ -221,10 +266,10 @@ def _casadi_step(function: ca.Function) -> Step:
 
 
 def _free_run(step: Step, state: Vec, commands: Vec) -> Vec:
-    """Angle and next state of every sample, (T, 1 + S)."""
+    """Angles (ny) and next state of every sample over commands (T, nu), (T, ny + S)."""
     rows = []
     for u in commands:
-        theta, state = step(state, np.array([[u]]))
+        theta, state = step(state, u[None])
         rows.append(np.concatenate([theta, state], axis=1))
     return np.concatenate(rows)
 
@@ -232,7 +277,7 @@ def _free_run(step: Step, state: Vec, commands: Vec) -> Vec:
 def _amplification(reference: StepFunction, start: Vec, commands: Vec, expected: Vec, step: float, out: Output) -> str:
     """Sensitivity of the reference's free run to a change `step` of its initial state."""
     moved = _free_run(reference.advance, start + step * (1 + np.abs(start)), commands)
-    spread = float(np.abs(moved - expected)[:, 0].max())
+    spread = float(np.abs(moved - expected)[:, : out[2]].max())
     what = f"and the reference moved by this much by {spread:.3g} {out[1]}"
     if spread > TOLERANCE_DEG * out[0]:
         what += ": the model itself is sensitive, fit it with another seed or fewer units"
@@ -247,7 +292,7 @@ def _single_steps(
     spread = _SPREAD * visited.std(axis=0)
     for draw in range(_DRAWS):
         states = rng.choice(visited, BATCH) + spread * rng.standard_normal((BATCH, visited.shape[1]))
-        u = rng.uniform(commands.min(), commands.max(), (BATCH, 1))
+        u = rng.uniform(commands.min(axis=0), commands.max(axis=0), (BATCH, commands.shape[1]))
         expected = np.hstack(reference.advance(states, u))
         whole = np.hstack(step(states, u))
         single = np.vstack([np.hstack(step(states[k : k + 1], u[k : k + 1])) for k in range(BATCH)])
@@ -258,42 +303,38 @@ def _single_steps(
 
 def _compare(expected: Vec, got: Vec, out: Output, what: str) -> Vec:
     """Largest difference of theta [deg] and of the state (relative); raises an error beyond the tolerance."""
-    unit, name = out
+    unit, name, angles = out
     scale = np.ones_like(expected)
-    scale[:, 0] = unit
-    scale[:, 1:] += np.abs(expected[:, 1:])
+    scale[:, :angles] = unit
+    scale[:, angles:] += np.abs(expected[:, angles:])
     difference = np.abs(got - expected) / scale
     if not np.all(difference <= TOLERANCE_DEG):
         row, column = np.unravel_index(np.argmax(difference), difference.shape)
         entry, allowed = (
-            (f"theta [{name}]", TOLERANCE_DEG * unit) if column == 0 else (f"next_state[{column - 1}]", TOLERANCE_DEG)
+            (f"theta [{name}]", TOLERANCE_DEG * unit)
+            if column < angles
+            else (f"next_state[{column - angles}]", TOLERANCE_DEG)
         )
         raise ExportError(
             f"{what} {row}: {entry} is {got[row, column]:.9g}, expected {expected[row, column]:.9g} of the reference "
             f"within {allowed:g}"
         )
-    return np.array([unit * difference[:, 0].max(), difference[:, 1:].max(initial=0.0)])
+    return np.array([unit * difference[:, :angles].max(), difference[:, angles:].max(initial=0.0)])
 
 
-def _compare_jacobians(
-    reference: StepFunction,
-    function: ca.Function,
-    visited: Vec,
-    commands: Vec,
-    dtype: str,
-    units: tuple[float, float],
-) -> tuple[float, int]:
+def _compare_jacobians(reference: StepFunction, step: ExportedStep, visited: Vec, commands: Vec) -> tuple[float, int]:
     """Largest difference of the Jacobians and number of kinks; too many kinks are an error, too."""
-    jacobian = _jacobian_of(function)
-    relative, absolute = _JACOBIAN_TOLERANCE[dtype]
+    jacobian, outputs = _jacobian_of(step.function), step.function.numel_out(0)
+    relative, absolute = _JACOBIAN_TOLERANCE[step.precision]
     worst, kinks = 0.0, 0
     for k in np.linspace(0, len(commands) - 1, _JACOBIANS).astype(int):
-        state, u = visited[k : k + 1], float(commands[k])
-        expected, got = reference.jacobian(state[0], u), jacobian(state[0], u)
+        state, u = visited[k : k + 1], commands[k]
+        expected, got = reference.jacobian(state[0], _alone(u)), jacobian(state[0], u)
         if got.shape != expected.shape:
             raise ExportError(f"the reference's Jacobian has shape {expected.shape}, expected {got.shape}")
         size = np.ones_like(expected)
-        size[0], size[:, -1] = size[0] / units[1], size[:, -1] * units[0]
+        size[:outputs] /= step.angle_unit
+        size[:, -u.size :] *= step.command_unit
         excess = size * (np.abs(got - expected) - relative * np.abs(expected)) - absolute
         if np.all(excess <= 0):
             worst = max(worst, float(np.abs(got - expected).max()))
@@ -313,24 +354,31 @@ def _compare_jacobians(
     return worst, kinks
 
 
-def _at_kink(reference: StepFunction, state: Vec, u: float, got: Vec) -> bool:
+def _alone(commands: Vec) -> Any:
+    """The one command as a number, or several as an array."""
+    return float(commands[0]) if commands.size == 1 else commands
+
+
+def _at_kink(reference: StepFunction, state: Vec, u: Vec, got: Vec) -> bool:
     """Whether the reference's Jacobian jumps near the point and `got` lies within the jump."""
     rng = np.random.default_rng(0)
-    point = np.append(state, u)
+    point, count = np.append(state, u), u.size
     reach = _NUDGE * (1.0 + np.abs(point))
     sides = rng.choice([-1.0, 1.0], (_NUDGES, point.size))
-    sides = np.vstack([np.eye(point.size)[-1], -np.eye(point.size)[-1], sides])
-    near = [reference.jacobian(p[:-1], float(p[-1])) for p in point + reach * sides]
+    ahead = np.eye(point.size)[-count:]
+    near = [
+        reference.jacobian(p[:-count], _alone(p[-count:])) for p in point + reach * np.vstack([ahead, -ahead, sides])
+    ]
     lower, upper = np.min(near, axis=0), np.max(near, axis=0)
     slack = _LOOSE * (1.0 + np.abs(got))
     jumps = np.any(upper - lower > slack)
     return bool(jumps and np.all((lower - slack <= got) & (got <= upper + slack)))
 
 
-def _jacobian_of(function: ca.Function) -> Callable[[Vec, float], Vec]:
-    """Derivative of (theta, next state) by (state, u), (1 + S, S + 1)."""
+def _jacobian_of(function: ca.Function) -> Callable[[Vec, Vec], Vec]:
+    """Derivative of (theta, next state) by (state, u), (ny + S, S + nu)."""
     size = function.size1_in("state")
-    point = ca.MX.sym("point", size + 1)
-    outputs = ca.vertcat(*function(point[:size], point[size]))
+    point = ca.MX.sym("point", size + function.size1_in("u"))
+    outputs = ca.vertcat(*function(point[:size], point[size:]))
     derivative = ca.Function("derivative", [point], [ca.jacobian(outputs, point)])
     return lambda state, u: np.array(derivative(np.append(state, u)))

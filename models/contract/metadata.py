@@ -17,6 +17,9 @@ from hystmpc.trials.errors import ConfigError, ModelError
 from hystmpc.trials.types import Vec
 
 FORMAT = "hystmpc-model/1"
+TWO_AXES_FORMAT = "hystmpc-two-axes-model/1"
+"""Of an ONNX file of two axes, which programs of other people open."""
+
 PREFIX = "hystmpc."
 Start = Literal["initial", "conditioned"]
 """Which rule of a model file makes the state at the start."""
@@ -308,6 +311,11 @@ class ModelMetadata(Settings):
                 "expected a file written by export_onnx"
             )
         fields = {key: _decode(text, f"{where}: metadata {PREFIX}{key}") for key, text in ours.items()}
+        if fields["format"] == TWO_AXES_FORMAT:
+            raise ModelError(
+                f"{where}: is an exported model of two axes, which hystmpc does not open: use the model file (.yaml) "
+                "from which it was exported"
+            )
         if fields["format"] != FORMAT:
             raise ModelError(
                 f"{where}: model format {fields['format']!r}, this version of hystmpc reads {FORMAT!r}; "

@@ -8,7 +8,7 @@ from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
 from threading import Lock, Thread
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, cast, final
 
 import numpy as np
 
@@ -17,22 +17,25 @@ from hystmpc.ctrl.config import ControllerSettings, sensor_fault
 from hystmpc.ctrl.estimation.observer import EstimatorSettings
 from hystmpc.ctrl.monitor import ChangeMonitor, MonitorState
 from hystmpc.ctrl.planner.reach import beyond_reach
-from hystmpc.ctrl.planner.settings import Assembly, assemble, read_settings
+from hystmpc.ctrl.planner.settings import Assembly, assemble, of_two_axes, read_settings
 from hystmpc.ctrl.planner.tip_controller import TipController
+from hystmpc.ctrl.two_axes.tip_controller import TwoAxisTipController, read_two_axis_settings, within_limits
+from hystmpc.models.load import model_path
 from hystmpc.models.scheduled import MeasuredInput
+from hystmpc.models.two_axes.model import load_two_axes
 from hystmpc.trajectories.motion import Kinematics, PiecewiseCubic
 from hystmpc.trajectories.ruckig_ import move_to_rest
 from hystmpc.trajectories.trajectory import Trajectory, TrajectoryChain
 from hystmpc.trials.errors import ConfigError, ControllerError
 from hystmpc.trials.types import Vec
 
-from ..axes import PerAxis, each, from_array, is_known
+from ..axes import NAMES, PerAxis, each, from_array, is_known
 from ..config import RunSettings
 from ..live.desk import Desk, Reply
 from ..recording.sample import Sink
 from ..run import BenchResult, Note, run_bench
 from ..safety.intake import SensorSettings
-from ..safety.plausibility import ModelWatch, PlausibilitySettings
+from ..safety.plausibility import AxesFrame, ModelWatch, PlausibilitySettings
 from ..safety.stop import StopFlag
 from ..transports.transport import PlantFactory, Transport
 from .phases import REMEMBERED, Decision, Past, Phase, PhaseInput
@@ -405,29 +408,52 @@ class Steering(Phase):
     fallbacks, and a large model error is a fault. It has no regular end.
 
     Attributes:
-        tip: the controller, for targets, its state and its stop.
+        tip: the controller, for targets, its state and its stop; of a model of two axes a `TwoAxisTipController`.
+        limits: of the command; of two axes a tuple of both.
         unit: of the command, mm or bar.
         safe_command: target of a stop; NaN rests in place.
+        frame: coordinates in which the motion of two axes is watched; None for one axis.
 
     Raises:
-        ConfigError: if the controller's file cannot be used or its controller wants no continuous sensor.
+        ConfigError: if the controller's file cannot be used, its controller wants no continuous sensor, or a model of
+            two axes has more than two commands.
         HystmpcError: of `assemble`.
     """
 
     name = "steer"
 
     def __init__(self, config: Path | str) -> None:
-        settings, folder = read_settings(config)
-        self._settings = settings.controller
+        self.frame: AxesFrame | None = None
+        self._open_in_plane(config) if of_two_axes(config) else self._open(config)
         if fault := sensor_fault(self._settings, "continuous"):
             raise ConfigError(f"{config}: controller.{fault}")
+        self.watch(PlausibilitySettings())
+
+    def _open(self, config: Path | str) -> None:
+        settings, folder = read_settings(config)
+        self._settings = settings.controller
         assembly = assemble(settings, folder)
         self.tip = TipController(assembly, settings)
         self.limits: CommandLimits = assembly.limits
         self.unit = assembly.unit
         safe = self._settings.resolved().ladder.safe_command
-        self.safe_command = math.nan if safe is None else safe
-        self.watch(PlausibilitySettings())
+        self.safe_command: PerAxis = math.nan if safe is None else safe
+
+    def _open_in_plane(self, config: Path | str) -> None:
+        settings, folder = read_two_axis_settings(config)
+        model = within_limits(load_two_axes(model_path(settings.model, folder)), settings.limits)
+        if (count := len(model.command_limits)) != len(NAMES):
+            raise ConfigError(
+                f"{config}: got a model of {count} commands, expected two: Clarke's coordinates of tendons"
+            )
+        self._settings, self.unit, self.frame = settings.controller, model.axes[0].command_unit, AxesFrame.of(model)
+        # The loop passes on what it gets: a controller and limits of both axes in place of those of one.
+        self.tip = cast(TipController, TwoAxisTipController(model, settings))
+        ends = zip(model.command_limits, model.command_rates_per_s, strict=True)
+        self.limits = cast(CommandLimits, tuple(CommandLimits(one.lower, one.upper, rate) for one, rate in ends))
+        safe = self._settings.resolved().ladder.safe_command
+        travels = (math.nan if safe is None else safe,) * len(NAMES)
+        self.safe_command = from_array(model.commands(travels))
 
     def watch(self, plausibility: PlausibilitySettings) -> None:
         """Restart the monitor of the model error with these settings."""
@@ -441,9 +467,9 @@ class Steering(Phase):
         self.watch(self._plausibility)
 
     def step(self, now: PhaseInput) -> Decision:
-        """Hold until there is an angle, then execute one step of the controller."""
+        """Hold until there is an angle, of two axes both, then execute one step of the controller."""
         if not self._started:
-            if math.isnan(now.angle_deg):
+            if not is_known(now.angle_deg):
                 return Decision(now.held, "hold", "waits for an angle")
             self.tip.reset(now.angle_deg, now.held)
             self._started = True
@@ -451,5 +477,9 @@ class Steering(Phase):
             for _ in range(now.skipped):
                 self.tip.skip()
         command = self.tip.step(now.angle_deg, LATE if now.late or now.skipped else "")
-        control = self.tip.snapshot().control
-        return decision_of(command, math.nan if control is None else control.due, self._watch)
+        if self.frame is None:
+            control = self.tip.snapshot().control
+            due_deg = math.nan if control is None else control.due
+        else:
+            due_deg = from_array(self.tip.state().reference_deg)
+        return decision_of(command, due_deg, self._watch)

@@ -87,9 +87,7 @@ def plane_tracking(
         return cast(Trajectory, after_approach(reference, (x, y), tip.dt, wanted.motion))
 
     watch = model_watch(settings.plausibility, wanted.controller, settings.dt_s)
-    spans = [high - low for low, high, _ in allowed.travel_limits()]
-    frame = AxesFrame(allowed.matrix, np.linalg.inv(allowed.turn).astype(np.float64), (spans[0], spans[1]))
-    return Tracking(cast(TipController, tip), lead_in, watch, None, threaded=threaded), frame
+    return Tracking(cast(TipController, tip), lead_in, watch, None, threaded=threaded), AxesFrame.of(allowed)
 
 
 def _fits(settings: PlaneRunSettings, model: TwoAxisModel) -> None:

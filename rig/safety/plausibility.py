@@ -11,6 +11,7 @@ from typing import Any, Protocol, final
 
 import numpy as np
 
+from hystmpc.models.two_axes.model import TwoAxisModel
 from hystmpc.trials.config import Positive, Settings
 from hystmpc.trials.types import Vec
 
@@ -195,6 +196,12 @@ class AxesFrame:
     mix: Vec
     unframe: Vec
     spans: tuple[float, float]
+
+    @classmethod
+    def of(cls, model: TwoAxisModel) -> AxesFrame:
+        """Coordinates of the axes of a model, whose limits give the ranges."""
+        x, y = (high - low for low, high, _ in model.travel_limits())
+        return cls(model.matrix, np.linalg.inv(model.turn).astype(np.float64), (x, y))
 
 
 @final

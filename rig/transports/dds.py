@@ -15,7 +15,8 @@ class DdsSettings(TopicSettings):
 
     Attributes:
         angle_topic, command_topic: names as ROS 2 has them, without the prefix `rt/`.
-        message: `float64` is std_msgs/msg/Float64; `float64_stamped` adds a header, session and sequence, see the docs.
+        message: `float64` is std_msgs/msg/Float64, of two axes Float64MultiArray; `float64_stamped` adds a header,
+            session and sequence, see the docs.
         domain: ROS_DOMAIN_ID.
         qos: of both topics.
         interface: network interface; everything stays on the loopback where left out.
@@ -31,15 +32,13 @@ class DdsSettings(TopicSettings):
         """Open the device's end; faults cannot be injected in front of DDS.
 
         Raises:
-            ConfigError: if it cannot be opened, a package is missing for it, or the device has two axes.
+            ConfigError: if it cannot be opened, or a package is missing for it.
         """
         del through
-        if axes > 1:
-            raise ConfigError("link: got kind dds for a device of two axes, expected kind udp")
         require_dds()
         from .dds_ import DdsLink
 
-        return DdsLink(self, silence_s)
+        return DdsLink(self, silence_s, axes)
 
 
 def require_dds() -> None:

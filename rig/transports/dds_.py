@@ -1,7 +1,6 @@
 """Two DDS topics readable by ROS 2 nodes, by Eclipse Cyclone DDS (extra `rig`); ROS itself is not needed."""
 
 # No `from __future__ import annotations` here: cyclonedds reads the annotations as types.
-import math
 import secrets
 import time
 from collections import Counter
@@ -12,14 +11,26 @@ from typing import Any, final
 from cyclonedds.core import Policy, Qos
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.types import float64, int32, uint32
+from cyclonedds.idl.types import array, float64, int32, sequence, uint32
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
 from hystmpc.trials.errors import ConfigError
 
-from .topics import GOODBYE, GREETING, TopicMessage, TopicSettings, TopicTransport, listening, stamp
+from ..axes import PerAxis, each, is_known
+from .topics import (
+    GOODBYE,
+    GREETING,
+    WRONG_SIZE,
+    TopicMessage,
+    TopicSettings,
+    TopicTransport,
+    listening,
+    numbers,
+    stamp,
+    unknown,
+)
 from .transport import Admission, Conversion, DeviceLink, Incoming, Outgoing, Says
 
 # Discovery and data on one interface; unicast, so that nothing is announced beyond it.
@@ -64,15 +75,61 @@ class Float64Stamped(IdlStruct, typename="hystmpc_msgs::msg::dds_::Float64Stampe
     held: float64
 
 
+@dataclass
+class Float64PairStamped(IdlStruct, typename="hystmpc_msgs::msg::dds_::Float64PairStamped_"):  # type: ignore[call-arg]  # the base takes it
+    """hystmpc_msgs/msg/Float64PairStamped: as Float64Stamped, with float64[2] data and float64[2] held of two axes."""
+
+    header: Header
+    session: uint32
+    sequence: uint32
+    data: array[float64, 2]
+    held: array[float64, 2]
+
+
+@dataclass
+class MultiArrayDimension(IdlStruct, typename="std_msgs::msg::dds_::MultiArrayDimension_"):  # type: ignore[call-arg]  # the base takes it
+    """std_msgs/msg/MultiArrayDimension."""
+
+    label: str
+    size: uint32
+    stride: uint32
+
+
+@dataclass
+class MultiArrayLayout(IdlStruct, typename="std_msgs::msg::dds_::MultiArrayLayout_"):  # type: ignore[call-arg]  # the base takes it
+    """std_msgs/msg/MultiArrayLayout."""
+
+    dim: sequence[MultiArrayDimension]
+    data_offset: uint32
+
+
+@dataclass
+class Float64MultiArray(IdlStruct, typename="std_msgs::msg::dds_::Float64MultiArray_"):  # type: ignore[call-arg]  # the base takes it
+    """std_msgs/msg/Float64MultiArray; here of two numbers, without dimensions."""
+
+    layout: MultiArrayLayout
+    data: sequence[float64]
+
+
+AnyMessage = Float64 | Float64Stamped | Float64PairStamped | Float64MultiArray
+# Messages by their name in the settings and the number of axes. An end of one type does not hear the other ones.
+MESSAGES: dict[tuple[str, int], type[AnyMessage]] = {
+    ("float64", 1): Float64,
+    ("float64", 2): Float64MultiArray,
+    ("float64_stamped", 1): Float64Stamped,
+    ("float64_stamped", 2): Float64PairStamped,
+}
 # Hashes of the types as ROS 2 computes them (RIHS01). A node that finds none warns about it, at each topic.
-HASHES: dict[type[Float64 | Float64Stamped], str] = {
+HASHES: dict[type[AnyMessage], str] = {
     Float64: "RIHS01_705ba9c3d1a09df43737eb67095534de36fd426c0587779bda2bc51fe790182a",
+    Float64MultiArray: "RIHS01_1025ddc6b9552d191f89ef1a8d2f60f3d373e28b283d8891ddcc974e8c55397f",
     Float64Stamped: "RIHS01_490b10b0b6a6d4e6a295c81dd8f83fa393d69f76a87629b1f6bec6f5fd326251",
+    Float64PairStamped: "RIHS01_b8ddb5aae915e1fa3ed508d50ed0ed9c713d8d7985a097d2e94dabf0ce947bf3",
 }
 
 
 class _Wire:
-    def __init__(self, settings: TopicSettings, out: str, into: str) -> None:
+    def __init__(self, settings: TopicSettings, out: str, into: str, axes: int = 1) -> None:
         local = settings.interface is None
         xml = _XML.format(
             name=settings.interface or "lo",
@@ -80,7 +137,8 @@ class _Wire:
             peers=_PEERS if local else "",
         )
         self.stamped = settings.message == "float64_stamped"
-        kind: Any = Float64Stamped if self.stamped else Float64
+        kind: Any = MESSAGES[settings.message, axes]
+        self._kind, self._axes = kind, axes
         qos = _qos(settings)
         hashed = qos + Qos(Policy.Userdata(f"typehash={HASHES[kind]};".encode()))
         try:
@@ -98,16 +156,18 @@ class _Wire:
         self.session, self._sequence, self._taken = secrets.randbits(32), 0, 0
 
     def write(
-        self, value: float, held: float, sequence: int | None = None, stamp_ns: int | None = None, note: str = ""
+        self, value: PerAxis, held: PerAxis, sequence: int | None = None, stamp_ns: int | None = None, note: str = ""
     ) -> None:
         self._sequence += 1
-        if not self.stamped:
-            self._writer.write(Float64(data=value))
+        data, held_there = (one if self._axes == 1 else list(each(one)) for one in (value, held))
+        if self.stamped:
+            now = time.time_ns() if stamp_ns is None else stamp_ns
+            number = (self._sequence if sequence is None else sequence) & 0xFFFFFFFF
+            header = Header(stamp=Time(*stamp(now)), frame_id=note)
+            self._writer.write(self._kind(header, self.session, number, data, held_there))
             return
-        now = time.time_ns() if stamp_ns is None else stamp_ns
-        header = Header(stamp=Time(*stamp(now)), frame_id=note)
-        number = (self._sequence if sequence is None else sequence) & 0xFFFFFFFF
-        self._writer.write(Float64Stamped(header=header, session=self.session, sequence=number, data=value, held=held))
+        layout: Any = MultiArrayLayout
+        self._writer.write(self._kind(data) if self._axes == 1 else self._kind(layout([], 0), data))
 
     def take(self) -> Any | None:
         samples = self._reader.take(1)
@@ -122,7 +182,7 @@ class _Wire:
             return TopicMessage.of(message)
         self._taken += 1
         sent = int(message.sample_info.source_timestamp) - time.time_ns() + time.monotonic_ns()
-        return TopicMessage(message.data, self._taken, sent)
+        return TopicMessage(numbers(message.data), self._taken, sent, held=unknown(self._axes))
 
     def close(self) -> None:
         self._writer = self._reader = self._participant = self._domain = None
@@ -139,29 +199,31 @@ def _qos(settings: TopicSettings) -> Qos:
 
 
 def dds_transport(settings: TopicSettings, conversion: Conversion) -> TopicTransport:
-    """Open the controller's end in a domain. The age of a Float64 counts from the sender's DDS stamp.
+    """Open the controller's end in a domain. The age of a message without a stamp counts from the sender's DDS stamp.
 
     Raises:
         ConfigError: if the domain cannot be joined.
     """
-    return TopicTransport(_Wire(settings, settings.command_topic, settings.angle_topic), conversion)
+    wire = _Wire(settings, settings.command_topic, settings.angle_topic, conversion.axes)
+    return TopicTransport(wire, conversion)
 
 
 @final
 class DdsLink(DeviceLink):
     """Device's end of the wire: reads the command topic, writes the angle topic, for one controller at a time.
 
-    See `Admission`. Plain Float64 has no sessions: every command is accepted.
+    See `Admission`. A message without a stamp has no sessions: every command is accepted.
 
     Args:
         silence_s: silence of a controller after which another may take its place [s].
+        axes: of the device.
 
     Raises:
         ConfigError: if the domain cannot be joined.
     """
 
-    def __init__(self, settings: TopicSettings, silence_s: float) -> None:
-        self._wire = _Wire(settings, settings.angle_topic, settings.command_topic)
+    def __init__(self, settings: TopicSettings, silence_s: float, axes: int = 1) -> None:
+        self._wire, self._axes = _Wire(settings, settings.angle_topic, settings.command_topic, axes), axes
         self._admission = Admission(silence_s)
         self._counters: Counter[str] = Counter()
         self.greeted = self._wire.stamped
@@ -172,7 +234,7 @@ class DdsLink(DeviceLink):
 
     def receive(self) -> Incoming | None:
         while (message := self._wire.take()) is not None:
-            said = self._said(message) if self._wire.stamped else _command(message.data)
+            said = self._said(message) if self._wire.stamped else self._command(message.data)
             if isinstance(said, Incoming):
                 return said
             self._counters[said] += 1
@@ -195,8 +257,10 @@ class DdsLink(DeviceLink):
         says: Says = note if note in (GREETING, GOODBYE) else "command"
         if reason := self._admission.admit(says, *come):
             return reason
-        return _command(message.data) if says == "command" else Incoming(says=says)
+        return self._command(message.data) if says == "command" else Incoming(says=says)
 
-
-def _command(raw: float) -> Incoming | str:
-    return Incoming(raw) if math.isfinite(raw) else "not-a-number"
+    def _command(self, data: Any) -> Incoming | str:
+        raw = numbers(data)
+        if len(each(raw)) != self._axes:
+            return WRONG_SIZE
+        return Incoming(raw) if is_known(raw) else "not-a-number"

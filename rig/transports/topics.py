@@ -16,17 +16,30 @@ from pydantic import Field
 
 from hystmpc.trials.config import Count, Settings
 
+from ..axes import PerAxis, each, together
 from .transport import Conversion, Reading, Transport, TransportBase
 
 _NS = 1_000_000_000
 # What a controller says by frame_id beside commands; a device says there which session it listens to.
 GREETING, GOODBYE = "greeting", "goodbye"
 _LISTENS = "listens:"
+WRONG_SIZE = "wrong size"
+"""Why a message is refused that has not one number for each axis."""
 
 
 def listening(session: int | None) -> str:
     """Text by which a device reports the session that it listens to, or none."""
     return f"{_LISTENS}none" if session is None else f"{_LISTENS}{session:08x}"
+
+
+def unknown(axes: int) -> PerAxis:
+    """Not-a-number of every axis."""
+    return together([math.nan] * axes)
+
+
+def numbers(data: Any) -> PerAxis:
+    """Numbers of a message: one of one axis as it is, the array of several as a tuple."""
+    return data if isinstance(data, float) else together(map(float, data))
 
 
 def stamp(wall_ns: int) -> tuple[int, int]:
@@ -68,19 +81,19 @@ class TopicSettings(TransportBase):
 class TopicMessage:
     """Message of a measurement on its topic."""
 
-    data: float  # raw angle
+    data: PerAxis  # raw angle; of two axes both
     sequence: int  # the sender's count
     sent_ns: int  # the sender's clock [ns]
     session: int = 0  # of the sender; 0 without one
-    held: float = math.nan  # raw command that the device holds; NaN where it does not report
+    held: PerAxis = math.nan  # raw command that the device holds; NaN where it does not report
     note: str = ""  # `frame_id`, empty without one
 
     @classmethod
     def of(cls, stamped: Any) -> Self:
-        """Message from a hystmpc_msgs/msg/Float64Stamped of any binding."""
-        header = stamped.header
+        """Message from a hystmpc_msgs/msg/Float64Stamped or Float64PairStamped of any binding."""
+        header, data, held = stamped.header, numbers(stamped.data), numbers(stamped.held)
         sent = header.stamp.sec * _NS + header.stamp.nanosec
-        return cls(stamped.data, stamped.sequence, sent, stamped.session, stamped.held, header.frame_id)
+        return cls(data, stamped.sequence, sent, stamped.session, held, header.frame_id)
 
 
 class TopicWire(Protocol):
@@ -95,8 +108,8 @@ class TopicWire(Protocol):
         """Oldest unread message, None if there is none."""
         ...
 
-    def write(self, value: float, held: float, *, note: str = "") -> None:
-        """Send a number with the sequence and stamp of the wire."""
+    def write(self, value: PerAxis, held: PerAxis, *, note: str = "") -> None:
+        """Send a number, or one of each axis, with the sequence and stamp of the wire."""
         ...
 
     def close(self) -> None:
@@ -108,7 +121,7 @@ class TopicWire(Protocol):
 class TopicTransport(Transport):
     """Transport that reads the angle topic and writes the command topic.
 
-    Plain Float64 carries neither sequence nor session: a restarted device is not noticed.
+    A message without a stamp carries neither sequence nor session: a restarted device is not noticed.
 
     Args:
         now_ns: monotonic clock [ns].
@@ -118,6 +131,7 @@ class TopicTransport(Transport):
         self._wire: TopicWire | None = wire
         self._now = now_ns
         self._conversion, self._listens = conversion, listening(wire.session)
+        self._nothing, self._zero = unknown(conversion.axes), together([0.0] * conversion.axes)
         self._device_has_sessions = False
         self._counters: Counter[str] = Counter()
 
@@ -126,29 +140,33 @@ class TopicTransport(Transport):
         return self._counters
 
     def read(self) -> Reading | None:
-        message = None if self._wire is None else self._wire.read()
-        if message is None:
-            return None
+        while (message := None if self._wire is None else self._wire.read()) is not None:
+            if len(each(message.data)) == self._conversion.axes:
+                return self._reading(message)
+            self._counters[WRONG_SIZE] += 1
+        return None
+
+    def _reading(self, message: TopicMessage) -> Reading:
         now, angle = self._now(), self._conversion.angle_deg(message.data)
         self._device_has_sessions = message.note.startswith(_LISTENS)
         listens = not self._device_has_sessions or message.note == self._listens
         held = self._conversion.command(message.held)
         return Reading(angle, message.sequence, message.session, message.sent_ns, now, held, listens)
 
-    def write(self, command: float) -> None:
+    def write(self, command: PerAxis) -> None:
         if self._wire is not None:
-            self._wire.write(self._conversion.raw_command(command), 0.0)
+            self._wire.write(self._conversion.raw_command(command), self._zero)
 
     def greet(self) -> None:
         """Ask the device to listen; no message without sessions, where it would count as a command."""
         if self._wire is not None and self._device_has_sessions:
-            self._wire.write(math.nan, 0.0, note=GREETING)
+            self._wire.write(self._nothing, self._zero, note=GREETING)
 
     def stop(self, goodbye: bool = False) -> None:
         """Leave the topics, after a goodbye if it is wanted and the device has sessions."""
         wire, self._wire = self._wire, None
         if wire is not None:
             if goodbye and self._device_has_sessions:
-                wire.write(math.nan, 0.0, note=GOODBYE)
+                wire.write(self._nothing, self._zero, note=GOODBYE)
                 time.sleep(0.02)  # the last message leaves before the writer does
             wire.close()

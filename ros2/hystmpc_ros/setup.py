@@ -12,7 +12,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/launch", ["launch/tip_planner.launch.xml"]),
-        (f"share/{NAME}/config", ["config/tip_planner.yaml"]),
+        (f"share/{NAME}/config", ["config/tip_planner.yaml", "config/two_axes.yaml"]),
     ],
     install_requires=["setuptools", "hystmpc"],
     zip_safe=True,

@@ -13,12 +13,13 @@ static void count(fmi3InstanceEnvironment at, fmi3Status status, fmi3String cate
 }
 
 static double run(fmi3Instance device, double start_s, int steps) {
-    const fmi3ValueReference command = 1, angle = 2;
+    const fmi3ValueReference angle = 1 + COMMANDS;
     double value = 0.0, reached_s = start_s;
     fmi3Boolean event, ends, early;
     for (int k = 0; k < steps; k++) {
         value = 6.0 * (double)((k * 37) % 101) / 100.0;
-        fmi3SetFloat64(device, &command, 1, &value, 1);
+        for (fmi3ValueReference command = 1; command <= COMMANDS; command++)
+            fmi3SetFloat64(device, &command, 1, &value, 1);
         fmi3DoStep(device, reached_s, SAMPLE_S, fmi3True, &event, &ends, &early, &reached_s);
     }
     fmi3GetFloat64(device, &angle, 1, &value, 1);

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,49 +12,98 @@ import numpy as np
 from fmpy.fmi2 import FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 from fmpy.fmi3 import FMU3Slave
 
-from hystmpc.codegen import export_fmu
+from hystmpc.codegen import FmuExport, export_fmu, export_fmu_in_plane
 from hystmpc.codegen.fmu import FmuVersion
+from hystmpc.models.two_axes.model import TwoAxisModel
 from hystmpc.sim import SimulatedPlant
+from hystmpc.sim.two_axes.config import TwoAxisPlantSettings
+from hystmpc.sim.two_axes.plant import TwoAxisPlant
+from hystmpc.tasks.export import device_in_plane
 from hystmpc.trajectories.excitation import s2_point_to_point, s2_sinusoid
 from hystmpc.trials.types import Vec
 
-TIME, COMMAND, OUTPUT = 0, 1, 2
+TIME, COMMAND = 0, 1
+
+
+@dataclass(frozen=True, eq=False)
+class InPlane:
+    """A device of two axes: its model, and the changes of a study."""
+
+    model: TwoAxisModel
+    changes: TwoAxisPlantSettings
+
+    @property
+    def dt(self) -> float:
+        """Sample time [s]."""
+        return self.model.dt_s
+
+
+Device = SimulatedPlant | InPlane
 VERSIONS: tuple[FmuVersion, ...] = ("2.0", "3.0")
 
 
-def written(plant: SimulatedPlant, path: Path, version: FmuVersion) -> Path:
+def exported(
+    plant: Device, version: FmuVersion, name: str = "one device", platforms: tuple[str, ...] | None = None
+) -> FmuExport:
+    """The FMU of a plant, with this machine's binary where platforms are left out."""
+    named: Any = {"name": name, "version": version, "platforms": platforms}
+    if isinstance(plant, SimulatedPlant):
+        return export_fmu(plant.simulator, plant.rest, rest_command=plant.rest_command, **named)
+    device, _ = device_in_plane(plant.model, plant.changes)
+    return export_fmu_in_plane(device, **named)
+
+
+def written(plant: Device, path: Path, version: FmuVersion) -> Path:
     """The FMU of a plant, with this machine's binary."""
-    export = export_fmu(
-        plant.simulator, plant.rest, name="one device", version=version, rest_command=plant.rest_command
-    )
+    export = exported(plant, version)
     assert export.platforms, "no C compiler: neither CC, cc nor the package ziglang"
     return export.write(path)
 
 
-def by_python(plant: SimulatedPlant, commands: Vec) -> Vec:
-    """True angles (T + 1,) [deg] from rest on."""
-    plant.reset()
-    angles = [plant.true_angle]
-    for u in commands:
-        plant.apply(float(u))
-        angles.append(plant.true_angle)
+def by_python(plant: Device, commands: Vec) -> Vec:
+    """True angles (T + 1,), or of two axes (T + 1, 2), from rest on [deg]."""
+    device: Any = TwoAxisPlant(plant.model, plant.changes) if isinstance(plant, InPlane) else plant
+    device.reset()
+    angles = [device.true_angle]
+    for u in commands.tolist():
+        device.apply(u)
+        angles.append(device.true_angle)
     return np.array(angles)
+
+
+def names(fmu: Path, causality: str) -> list[str]:
+    """Names of the variables of a causality."""
+    described = fmpy.read_model_description(str(fmu))
+    return [variable.name for variable in described.modelVariables if variable.causality == causality]
 
 
 def by_fmpy(fmu: Path, commands: Vec, dt_s: float) -> Vec:
     """The same, as fmpy simulates an FMU."""
-    times = np.arange(commands.size) * dt_s
-    table = np.array(list(zip(times, commands, strict=True)), dtype=[("time", float), ("command", float)])
-    told: dict[str, Any] = {"stop_time": commands.size * dt_s, "output_interval": dt_s, "step_size": dt_s}
-    return np.asarray(fmpy.simulate_fmu(str(fmu), input=table, output=["angle"], **told)["angle"])
+    inputs, outputs = names(fmu, "input"), names(fmu, "output")
+    times, columns = np.arange(len(commands)) * dt_s, commands.reshape(len(commands), -1).T
+    table = np.array(
+        list(zip(times, *columns, strict=True)), dtype=[("time", float), *((name, float) for name in inputs)]
+    )
+    told: dict[str, Any] = {"stop_time": len(commands) * dt_s, "output_interval": dt_s, "step_size": dt_s}
+    shown = fmpy.simulate_fmu(str(fmu), input=table, output=outputs, **told)
+    return np.stack([shown[name] for name in outputs], axis=-1).reshape(-1, *(len(outputs),) * (commands.ndim - 1))
 
 
-def greatest_difference(fmu: Path, plant: SimulatedPlant) -> float:
-    """Of both over a sinusoid and a point-to-point motion of S2 [deg]."""
-    off = []
+def motions(plant: Device) -> Iterator[Vec]:
+    """Commands (T,), or (T, n) at different moments, over a sinusoid and a point-to-point motion of S2."""
     for motion in (s2_sinusoid(0.5, "0BL"), s2_point_to_point(1)):
         commands = motion(np.arange(0.0, motion.duration_s, plant.dt))
-        off.append(np.abs(by_fmpy(fmu, commands, plant.dt) - by_python(plant, commands)).max())
+        if isinstance(plant, SimulatedPlant):
+            yield commands
+            continue
+        share = (commands - commands.min()) / np.ptp(commands)
+        ends = [(one.lower, one.upper) for one in plant.model.command_limits]
+        yield np.stack([low + (high - low) * np.roll(share, 17 * k) for k, (low, high) in enumerate(ends)], axis=1)
+
+
+def greatest_difference(fmu: Path, plant: Device) -> float:
+    """Of both over the motions [deg]."""
+    off = [np.abs(by_fmpy(fmu, one, plant.dt) - by_python(plant, one)).max() for one in motions(plant)]
     return float(np.max(off))
 
 
@@ -62,6 +113,9 @@ class Instance:
     def __init__(self, folder: Path) -> None:
         description = fmpy.read_model_description(str(folder))
         self.lines: list[str] = []
+        kinds = [variable.causality for variable in description.modelVariables]
+        self.commands = [k for k, kind in enumerate(kinds) if kind == "input"]
+        self.outputs = [k for k, kind in enumerate(kinds) if kind == "output"]
         self._new = description.fmiVersion == "3.0"
         identifier = description.coSimulation.modelIdentifier
         told = {"guid": description.guid, "unzipDirectory": str(folder), "modelIdentifier": identifier}
@@ -85,6 +139,14 @@ class Instance:
     def get(self, which: int) -> float:
         return float((self._fmu.getFloat64 if self._new else self._fmu.getReal)([which])[0])
 
+    def shown(self) -> list[float]:
+        """Every output."""
+        return list((self._fmu.getFloat64 if self._new else self._fmu.getReal)(self.outputs))
+
+    def ask(self, u: float) -> None:
+        """Every command set to the same number."""
+        (self._fmu.setFloat64 if self._new else self._fmu.setReal)(self.commands, [u] * len(self.commands))
+
     def set(self, which: int, value: float) -> None:
         (self._fmu.setFloat64 if self._new else self._fmu.setReal)([which], [value])
 
@@ -92,12 +154,12 @@ class Instance:
         self._fmu.doStep(at_s, length_s)
 
     def run(self, commands: Vec, dt_s: float) -> Vec:
-        """Outputs (T,) from where it stands."""
+        """Outputs (T, m) from where it stands; every command is the same number of `commands` (T,)."""
         outputs = []
         for u in commands:
-            self.set(COMMAND, float(u))
+            self.ask(float(u))
             self.step(self.get(TIME), dt_s)
-            outputs.append(self.get(OUTPUT))
+            outputs.append(self.shown())
         return np.array(outputs)
 
     def reset(self) -> None:

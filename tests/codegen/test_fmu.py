@@ -25,9 +25,14 @@ from hystmpc.models.chain import Chain, operators
 from hystmpc.models.load import library_file
 from hystmpc.models.operators.measurement import Sensor
 from hystmpc.models.simulator import Simulator, load_simulator
+from hystmpc.models.two_axes.model import TwoAxisModel
 from hystmpc.sim import Effects, SimulatedPlant
+from hystmpc.sim.two_axes.config import TwoAxisPlantSettings
+from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.errors import ExportError
 
+from ..ctrl.test_two_axes import TENDONS
+from ..models.two_axis_examples import COUPLED, SHARED, two_axes
 from ..models.zoo import CHAINS, EXAMPLES, WITH_EFFECTS, simulator
 from .compiled import EXAMPLES as FILES
 from .compiled import STRICT, compile_c, compilers, tried
@@ -36,7 +41,18 @@ fmpy = pytest.importorskip("fmpy", reason="fmpy is a tool of development")
 
 from fmpy.validation import validate_fmu  # noqa: E402
 
-from .importer import COMMAND, OUTPUT, TIME, VERSIONS, Instance, greatest_difference, written  # noqa: E402
+from .importer import (  # noqa: E402
+    COMMAND,
+    TIME,
+    VERSIONS,
+    Device,
+    InPlane,
+    Instance,
+    exported,
+    greatest_difference,
+    names,
+    written,
+)
 
 _SHIPPED = {name: load_simulator(library_file(name)) for name in ("tendon-catheter", "pi", "backlash", "auto")}
 _EFFECTS = Effects(
@@ -62,16 +78,40 @@ PLANTS: Mapping[str, tuple[Simulator, Mapping[str, Any]]] = {
         for example in {type(example): example for example in EXAMPLES if not isinstance(example, Sensor)}.values()
     },
 }
-FAST = ("auto", "lag, delay, creep, stick-slip, hum, drift")
+_MIX, _FRAME = ((1.0, 0.3), (-0.2, 1.0)), ((1.0, 0.1), (0.2, 1.0))
+_STUDY = {
+    "lag_s": 0.03,
+    "delay_s": 0.07,
+    "noise_deg": 0.1,
+    "x": {"mismatch": {"prandtl_ishlinskii.a0": 1.2}},
+    "y": {"effects": [{"effect": "creep", "parameters": {"share": 0.1, "tau_s": 4.0}}]},
+}
+PLANES: Mapping[str, tuple[TwoAxisModel, Mapping[str, Any]]] = {
+    "two axes apart": (two_axes(), {}),
+    "two axes, turned": (two_axes(_MIX, _FRAME, SHARED), {"lag_s": 0.05}),
+    "two axes, turned, coupled, late": (two_axes(_MIX, _FRAME, COUPLED), _STUDY),
+    "four tendons": (TENDONS, {}),
+    "four tendons behind a lag that share friction": (
+        two_axes(cross=SHARED).with_tendons(
+            [0, 90, 180, 270], pretension=1.0, limits=[(0.2, 4.0)] * 4, rates_per_s=[8.0] * 4
+        ),
+        {"lag_s": 0.05, "virgin": True},
+    ),
+}
+"""Devices of two axes: model, and what a study changes of it."""
+BOTH = ("auto", "two axes, turned")
+"""One device of one axis and one of two, which keep the same laws of co-simulation."""
+FAST = ("auto", "lag, delay, creep, stick-slip, hum, drift", "two axes, turned, coupled, late")
 # The step of a device is the same text in either version: both for two devices, every other one in one of the two.
 cases = [
     *(pytest.param(name, version) for name in FAST for version in VERSIONS),
     *(
         pytest.param(name, VERSIONS[k % 2], marks=pytest.mark.slow)
-        for k, name in enumerate(name for name in PLANTS if name not in FAST)
+        for k, name in enumerate(name for name in (*PLANTS, *PLANES) if name not in FAST)
     ),
 ]
 versions = pytest.mark.parametrize("version", VERSIONS)
+sources_of = pytest.mark.parametrize("name", [*FAST[1:], "four tendons"])
 DT = 0.04
 
 
@@ -82,11 +122,24 @@ def plant_of(name: str) -> SimulatedPlant:
     return SimulatedPlant(found, **told)
 
 
-@pytest.fixture(scope="module", params=VERSIONS)
+def device_of(name: str) -> Device:
+    """One of `PLANTS` or of `PLANES`."""
+    if name in PLANTS:
+        return plant_of(name)
+    model, changes = PLANES[name]
+    return InPlane(model, TwoAxisPlantSettings.parse({"simulator": "model", **changes}))
+
+
+@pytest.fixture(
+    scope="module",
+    params=[(name, version) for name in BOTH for version in VERSIONS],
+    ids=lambda one: f"{one[0]}-{one[1]}",
+)
 def folder(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An unpacked FMU of each version, of the catheter with a lag."""
+    """An unpacked FMU of each version, of the catheter with a lag, and of a device of two axes."""
+    name, version = request.param
     place = tmp_path_factory.mktemp("fmu")
-    fmu = written(SimulatedPlant(_SHIPPED["auto"]), place / "device.fmu", request.param)
+    fmu = written(device_of(name), place / "device.fmu", version)
     return Path(fmpy.extract(str(fmu), str(place / "unpacked")))
 
 
@@ -103,7 +156,7 @@ def test_every_operator_is_tried() -> None:
 
 @pytest.mark.parametrize(("name", "version"), cases)
 def test_it_repeats_the_python_simulator(name: str, version: FmuVersion, tmp_path: Path) -> None:
-    plant = plant_of(name)
+    plant = device_of(name)
     fmu = written(plant, tmp_path / "device.fmu", version)
     assert validate_fmu(str(fmu)) == []
     assert greatest_difference(fmu, plant) <= 1e-9  # not-a-number is not
@@ -157,7 +210,7 @@ def test_instances_are_independent(folder: Path) -> None:
         beside.append(one.run(np.array([u]), DT)[0])
         other.run(np.array([v]), DT)
     np.testing.assert_array_equal(beside, alone)
-    assert other.get(OUTPUT) == pytest.approx(Instance(folder).get(OUTPUT), abs=1e-9)
+    np.testing.assert_array_equal(other.shown(), started(folder).run(rest, DT)[-1])
 
 
 def test_a_reset_brings_the_start_back(folder: Path) -> None:
@@ -172,7 +225,7 @@ def test_a_reset_brings_the_start_back(folder: Path) -> None:
 @pytest.mark.parametrize("wrong", [0.0, -DT, 0.5 * DT, 1.01 * DT, 0.03, np.nan, np.inf])
 def test_a_wrong_step_is_refused_and_changes_nothing(folder: Path, wrong: float) -> None:
     made, other = started(folder), started(folder)
-    made.set(COMMAND, 3.0)
+    made.ask(3.0)
     with pytest.raises(Exception, match="DoStep"):
         made.step(0.0, wrong)
     (line,) = made.lines
@@ -203,26 +256,26 @@ def test_any_step_is_taken_or_refused_in_a_line_and_the_angle_stays_finite(
     """Lengths, starts and commands of any kind; what is refused changes nothing."""
     made = started(folder)
     for length, later, command in calls:
-        before, told = (made.get(TIME), made.get(OUTPUT)), len(made.lines)
+        before, told = (made.get(TIME), made.shown()), len(made.lines)
         try:
-            made.set(COMMAND, command)
+            made.ask(command)
             made.step(made.get(TIME) + later, length)
         except Exception:  # noqa: BLE001 - as fmpy raises
-            assert (made.get(TIME), made.get(OUTPUT)) == before
+            assert (made.get(TIME), made.shown()) == before
             assert len(made.lines) == told + 1
         else:
             assert np.isfinite(command)
             assert abs(later) <= 0.5 * DT
             assert made.get(TIME) == pytest.approx(before[0] + DT)
             assert len(made.lines) == told
-        assert np.isfinite(made.get(OUTPUT))
-    made.set(COMMAND, 3.0)
+        assert np.isfinite(made.shown()).all()
+    made.ask(3.0)
     assert np.isfinite(made.run(np.full(3, 3.0), DT)).all()
 
 
 def test_a_device_that_overflows_is_an_error_and_keeps_its_state(folder: Path) -> None:
     made, other = started(folder), started(folder)
-    made.set(COMMAND, 1.7e308)
+    made.ask(1.7e308)
     with pytest.raises(Exception, match="DoStep"):
         made.step(0.0, 3 * DT)
     assert made.lines == ["step: the device does not answer this command with finite numbers"]
@@ -276,7 +329,7 @@ def test_a_step_of_many_samples_is_as_many_steps(folder: Path, parts: list[int],
     for k, count in enumerate(parts):
         u = np.array([6.0 * (k % 3) / 2])
         once = long.run(u, count * DT)[-1]
-        assert short.run(np.repeat(u, count), DT)[-1] == once
+        np.testing.assert_array_equal(short.run(np.repeat(u, count), DT)[-1], once)
     assert long.get(TIME) == short.get(TIME) == pytest.approx(start + DT * sum(parts))
 
 
@@ -288,17 +341,68 @@ def test_what_is_out_of_order_is_refused_in_a_line(folder: Path) -> None:
     for at, length in ((0.5, DT), (0.0, 26 * DT)):
         with pytest.raises(Exception, match="DoStep"):
             made.step(at, length)
-    for which, value in ((OUTPUT, 1.0), (COMMAND, np.nan), (9, 1.0)):
+    for which, value in ((made.outputs[0], 1.0), (COMMAND, np.nan), (99, 1.0), (TIME, 1.0)):
         with pytest.raises(Exception, match="Set"):
             made.set(which, value)
+    with pytest.raises(Exception, match="Get"):
+        made.get(99)
+    one = len(made.commands) == 1
+    only = "set: only value reference 1, the command, can be set"
+    only = only if one else "set: only value references 1 to 2, the commands, can be set"
+    known = "0 (time), 1 (command) or 2 (output)" if one else "one of modelDescription.xml"
     assert made.lines == [
         "step: the instance is not initialised, or is terminated",
         "step: got time 0.5 s, expected 0 s, where the last step ended",
         "step: got an end at 1.04 s, beyond the stop time 1 s",
-        "set: only value reference 1, the command, can be set",
-        "set: the command is not a finite number",
-        "set: only value reference 1, the command, can be set",
+        only,
+        f"set: {'the' if one else 'a'} command is not a finite number",
+        only,
+        only,
+        f"get: unknown value reference, expected {known}",
     ]
+
+
+@versions
+def test_variables_of_two_axes_have_the_names_of_the_log(version: FmuVersion, tmp_path: Path) -> None:
+    """Of more than two commands they are numbered; limits and start are those of each command."""
+    for name, commands in (
+        ("two axes apart", ["command_x", "command_y"]),
+        ("four tendons", [f"command[{k}]" for k in (1, 2, 3, 4)]),
+    ):
+        fmu = written(device_of(name), tmp_path / f"{name}.fmu", version)
+        assert names(fmu, "input") == commands
+        assert names(fmu, "output") == ["angle_x_deg", "angle_y_deg"]
+    described = fmpy.read_model_description(str(fmu)).modelVariables
+    assert {(one.min, one.max, float(one.start)) for one in described if one.causality == "input"} == {
+        ("0.2", "4.0", 1.0)
+    }
+    assert {one.unit for one in described} == {"s", "mm", "deg"}
+
+
+def test_the_command_writes_a_model_and_a_study_of_two_axes(tmp_path: Path) -> None:
+    """The study with the changes of its plant; what an FMU cannot hold is named."""
+    model, changes = PLANES["two axes, turned, coupled, late"]
+    model.save(tmp_path / "both.yaml")
+    study = {
+        "plant": {"simulator": "both.yaml", **changes},
+        "model": "both.yaml",
+        "motions": {"star": {"kind": "star", "centre": [0, 0], "radius": 12}},
+        "controllers": {"mpc": {"kind": "linearised_mpc"}},
+    }
+    (tmp_path / "study.yaml").write_text(dump_yaml(study), encoding="utf-8")
+    for source, said in (("both", "of <math.h>"), ("study", "left out: noise of 0.1 deg")):
+        done = CliRunner().invoke(
+            app, ["export-fmu", str(tmp_path / f"{source}.yaml"), "--out", str(tmp_path / f"{source}.fmu")]
+        )
+        assert done.exit_code == 0, done.output
+        words = " ".join(done.output.split())
+        assert (
+            "FMI 2.0, co-simulation, a step every 0.04 s, command_x, command_y [mm] to angle_x_deg, angle_y_deg [deg]"
+            in words
+        )
+        assert words.endswith(said)
+    assert greatest_difference(tmp_path / "both.fmu", InPlane(model, TwoAxisPlantSettings(simulator="model"))) <= 1e-9
+    assert greatest_difference(tmp_path / "study.fmu", device_of("two axes, turned, coupled, late")) <= 1e-9
 
 
 @versions
@@ -313,9 +417,10 @@ def test_units_are_those_of_the_simulator(version: FmuVersion, tmp_path: Path) -
 
 @pytest.mark.slow
 @versions
-def test_the_sources_compile_without_a_warning(version: FmuVersion, tmp_path: Path) -> None:
+@sources_of
+def test_the_sources_compile_without_a_warning(name: str, version: FmuVersion, tmp_path: Path) -> None:
     """By every compiler; clang finds fault with a declaration in a header of the standard."""
-    with zipfile.ZipFile(written(plant_of(FAST[1]), tmp_path / "d.fmu", version)) as archive:
+    with zipfile.ZipFile(written(device_of(name), tmp_path / "d.fmu", version)) as archive:
         archive.extractall(tmp_path)
     flags = [*STRICT, "-Wno-strict-prototypes", "-O2", "-c", "fmu.c"]
     said = {command[-1]: tried([*command, *flags], tmp_path / "sources") for command in compilers()}
@@ -404,14 +509,16 @@ def test_sources_of_two_link_into_one_program(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_it_runs_clean_under_sanitizers(tmp_path: Path) -> None:
+@sources_of
+def test_it_runs_clean_under_sanitizers(name: str, tmp_path: Path) -> None:
     """Addresses, leaks and undefined behaviour; where their library is missing, undefined behaviour alone."""
-    plant = plant_of(FAST[1])
-    export = export_fmu(plant.simulator, plant.rest, version="3.0", platforms=())
+    plant = device_of(name)
+    export = exported(plant, "3.0", "device", ())
+    commands = len(export.described.commands)
     for path, content in export.files.items():
         (tmp_path / Path(path).name).write_bytes(content)
     shutil.copy(Path(__file__).with_name("host.c"), tmp_path)
-    defines = [f'-DTOKEN="{export.described.token}"', f"-DSAMPLE_S={plant.dt!r}"]
+    defines = [f'-DTOKEN="{export.described.token}"', f"-DSAMPLE_S={plant.dt!r}", f"-DCOMMANDS={commands}"]
     build = [*STRICT, "-Wno-strict-prototypes", *defines, "-g", "-o", "run", "host.c", "fmu.c", "-lm"]
     both = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
     if not compilers() or tried([*compilers()[0], *both, *build], tmp_path):

@@ -22,7 +22,6 @@ from hystmpc.codegen import export_controller
 from hystmpc.core.library import FOLDER
 from hystmpc.ctrl import TipController
 from hystmpc.models.two_axes.model import TwoAxisModel
-from hystmpc.tasks.export import export_fmu
 from hystmpc.trials.errors import ExportError
 
 from ..ctrl.test_two_axes import JOINED, TENDONS, noisy
@@ -283,14 +282,6 @@ def test_what_has_no_c_is_refused_in_a_line(case: str, tmp_path: Path) -> None:
         exported(JOINED, controller, tmp_path)
     assert str(raised.value).startswith(f"export-c: {line}")
     assert "\n" not in str(raised.value)
-
-
-def test_an_fmu_of_two_axes_is_refused_in_a_line(tmp_path: Path) -> None:
-    JOINED.save(tmp_path / "both.yaml")
-    (tmp_path / "study.yaml").write_text("plant: {simulator: both.yaml}\nmodel: both.yaml\n", encoding="utf-8")
-    for name in ("both.yaml", "study.yaml"):
-        with pytest.raises(ExportError, match=r"^export-fmu: got two axes in .*, supported is one axis"):
-            export_fmu(tmp_path / name, tmp_path / "device.fmu")
 
 
 def test_the_command_says_that_there_are_two_axes(tmp_path: Path) -> None:

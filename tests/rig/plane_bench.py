@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -12,9 +13,11 @@ from typing import Any
 import numpy as np
 
 from hystmpc.bench.device import make_plant
+from hystmpc.rig.axes import together
 from hystmpc.rig.device import FaultyDatagrams, PlaneDeviceSettings, ServerCounts, SimulatedDevice, _open_log
 from hystmpc.rig.plane_config import PlaneRunSettings
 from hystmpc.rig.safety.stop import StopFlag
+from hystmpc.rig.transports.dds import DdsSettings
 from hystmpc.rig.transports.transport import Datagrams
 from hystmpc.rig.transports.udp import Datagram, Kind, UdpLink, decode
 
@@ -55,14 +58,35 @@ class Tap:
         self.wire.close()
 
 
+class DdsTap:
+    """What a device's end over DDS takes, remembered as commands of datagrams."""
+
+    def __init__(self, link: Any) -> None:
+        self.commands: list[Datagram] = []
+        self._take, link._wire.take = link._wire.take, self.take
+
+    def take(self) -> Any:
+        message = self._take()
+        if message is not None and not message.header.frame_id:
+            stamp, pair = message.header.stamp, together(map(float, message.data))
+            at = 10**9 * stamp.sec + stamp.nanosec
+            self.commands.append(Datagram(Kind.COMMAND, message.session, message.sequence, at, pair))
+        return message
+
+
 @dataclass
 class Served:
-    """A device that is served in a thread."""
+    """A device that is served in a thread, and the transport that leads to it."""
 
-    port: int
-    tap: Tap
+    transport: Mapping[str, Any]
+    tap: Tap | DdsTap
     log: Path
     counts: list[ServerCounts] = field(default_factory=list)
+
+    @property
+    def port(self) -> int:
+        """Port over UDP."""
+        return int(self.transport["port"])
 
     def rows(self) -> dict[str, np.ndarray]:
         """The device's log by column."""
@@ -70,9 +94,17 @@ class Served:
         return {name: table[name] for name in table.dtype.names or ()}
 
 
+def topics() -> dict[str, Any]:
+    """Transport of two topics that no other process uses."""
+    names = {f"{name}_topic": f"of_{os.getpid()}/{name}" for name in ("angle", "command")}
+    return {"kind": "dds", "domain": 80, **names}
+
+
 @contextmanager
-def served(folder: Path, faults: Sequence[Mapping[str, Any]] = (), **changes: Any) -> Iterator[Served]:
-    """Serve the device of `model_in` within the block."""
+def served(
+    folder: Path, faults: Sequence[Mapping[str, Any]] = (), wire: str = "udp", **changes: Any
+) -> Iterator[Served]:
+    """Serve the device of `model_in` within the block; faults of datagrams only over UDP."""
     model, taps = model_in(folder), list[Tap]()
     plain = {"rate_hz": RATE_HZ, "command_unit": "mm", "limits": LIMITS, "link": {"kind": "udp", "bind_port": 0}}
     plant = {"simulator": str(model), "noise_deg": 0.05}
@@ -82,12 +114,18 @@ def served(folder: Path, faults: Sequence[Mapping[str, Any]] = (), **changes: An
         taps.append(Tap(wire))
         return FaultyDatagrams(taps[0], settings.faults, settings.seed)
 
-    link = UdpLink("127.0.0.1", 0, settings.watchdog_s, through, axes=2)
+    link: Any
+    if wire == "dds":
+        link = DdsSettings.parse(topics()).listen(settings.watchdog_s, None, 2)
+        transport, tap = topics(), DdsTap(link)
+    else:
+        link = UdpLink("127.0.0.1", 0, settings.watchdog_s, through, axes=2)
+        transport, tap = {"kind": "udp", "port": link.port}, taps[0]
     made, held = make_plant(settings.plant, settings.dt_s, settings.seed, folder, "mm")
     flag, log = StopFlag(), folder / "device.csv"
     with _open_log(log, 2) as lines:
         device = SimulatedDevice(settings, made, held, link, lines)
-        it = Served(link.port, taps[0], log)
+        it = Served(transport, tap, log)
         thread = threading.Thread(target=lambda: it.counts.append(device.serve(flag)))
         thread.start()
         try:
@@ -117,7 +155,7 @@ def bench(folder: Path, port: int, **changes: Any) -> PlaneRunSettings:
     return PlaneRunSettings.parse(plain | changes)
 
 
-def require_within_limits(tap: Tap, slack: float = 0.0) -> None:
+def require_within_limits(tap: Tap | DdsTap, slack: float = 0.0) -> None:
     """Every command as it left the controller lies within value and rate of its axis.
 
     The time between two commands is that of their stamps, at least a tenth of a sample.

@@ -210,7 +210,7 @@ def test_samples_of_two_axes_have_their_columns_and_cross_a_pipe() -> None:
         ({"limits": {"lower": -3, "upper": 3, "rate_per_s": 8}}, "limits.lower"),
         ({"ramps": {"velocity_per_s": 5.0}}, "rate_per_s 4.0"),
         ({"sensor": {"kind": "none", "rest_deg": 0}}, "continuous"),
-        ({"transport": {"kind": "dds"}}, "udp or simulated"),
+        ({"transport": {"kind": "replay", "run": "runs"}}, "expected udp, dds, simulated for two axes"),
         ({"realtime": {"backend": "c"}}, "expected python"),
         ({"transport": {"kind": "simulated", "plant": {}, "sensor": {"kind": "none"}}}, "transport.sensor none"),
         ({"prepare": [{"step": "move", "to": [9.0, 0.0]}]}, "move to 9.0"),

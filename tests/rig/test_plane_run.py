@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
 import os
 import signal
@@ -43,22 +44,32 @@ DT = 1 / RATE_HZ
 SAFE = (0.0, 0.5)
 
 
+HAS_DDS = importlib.util.find_spec("cyclonedds") is not None
+DDS = pytest.param("dds", marks=[pytest.mark.slow, pytest.mark.skipif(not HAS_DDS, reason="cyclonedds (extra rig)")])
+of_each_wire = pytest.mark.parametrize("wire", ["udp", DDS])
+
+
 def run(
-    folder: Path, faults: Sequence[Mapping[str, Any]] = (), desk: Desk | None = None, **changes: Any
+    folder: Path,
+    faults: Sequence[Mapping[str, Any]] = (),
+    desk: Desk | None = None,
+    wire: str = "udp",
+    **changes: Any,
 ) -> tuple[BenchResult, SampleList, Any]:
     """A run on the device, its samples, and the device."""
     kept = SampleList()
-    with served(folder, faults) as device:
-        wanted = bench(folder, device.port, **changes)
+    with served(folder, faults, wire) as device:
+        wanted = bench(folder, 0, **{"transport": device.transport} | changes)
         result = run_plane_experiment(wanted, lambda: kept, plants_in(folder, "mm"), desk=desk)
     return result, kept, device
 
 
-def test_a_run_tracks_the_reference_and_reads_back_as_a_trial(tmp_path: Path) -> None:
+@of_each_wire
+def test_a_run_tracks_the_reference_and_reads_back_as_a_trial(wire: str, tmp_path: Path) -> None:
     """One angle is missing for four samples, which the trial leaves out."""
     folder, nan = tmp_path / "run", {"fault": "nan", "axis": "x", "start_s": 2.6, "duration_s": 4 * DT}
-    with served(tmp_path, [nan]) as device:
-        wanted = bench(tmp_path, device.port, prepare=[])
+    with served(tmp_path, [nan], wire) as device:
+        wanted = bench(tmp_path, 0, transport=device.transport, prepare=[])
         meta = RecordingMeta("mm", stages=("step", "total", "execution"), axes=2)
         result = run_plane_experiment(
             wanted,
@@ -143,11 +154,12 @@ def test_a_missing_angle_holds_the_estimate_of_its_axis_and_makes_neither_comman
         assert np.all(away <= 0.1 * moves[first - 20 : first + 20].max(axis=0))
 
 
-def test_a_signal_leads_both_commands_to_the_safe_ones_within_their_rates(tmp_path: Path) -> None:
+@of_each_wire
+def test_a_signal_leads_both_commands_to_the_safe_ones_within_their_rates(wire: str, tmp_path: Path) -> None:
     timer = threading.Timer(2.8, os.kill, (os.getpid(), signal.SIGTERM))
     timer.start()
     try:
-        result, kept, device = run(tmp_path)
+        result, kept, device = run(tmp_path, wire=wire)
     finally:
         timer.cancel()
     outcome = result.outcome
@@ -163,9 +175,11 @@ def test_a_signal_leads_both_commands_to_the_safe_ones_within_their_rates(tmp_pa
         run(tmp_path)
 
 
-@pytest.mark.parametrize("axis", ["x", "y"])
-def test_a_dead_sensor_of_one_axis_stops_both(axis: str, tmp_path: Path) -> None:
-    result, kept, device = run(tmp_path, [{"fault": "nan", "axis": axis, "start_s": 0.6}])
+@pytest.mark.parametrize(
+    ("axis", "wire"), [("x", "udp"), ("y", "udp"), pytest.param("y", *DDS.values, marks=DDS.marks)]
+)
+def test_a_dead_sensor_of_one_axis_stops_both(axis: str, wire: str, tmp_path: Path) -> None:
+    result, kept, device = run(tmp_path, [{"fault": "nan", "axis": axis, "start_s": 0.6}], wire=wire)
     assert result.outcome.cause.startswith(f"{axis}: sensor dead")
     assert result.outcome.confirmed
     require_within_limits(device.tap)
@@ -197,11 +211,26 @@ hostile = st.fixed_dictionaries(
 def test_whatever_wire_and_sensor_do_commands_stay_within_limits(
     tmp_path_factory: pytest.TempPathFactory, wire: list[dict[str, Any]], sensor: list[dict[str, Any]]
 ) -> None:
-    folder, desk = tmp_path_factory.mktemp("bench"), Desk()
+    require_laws_of_a_broken_run(tmp_path_factory.mktemp("bench"), [*wire, *sensor], "udp")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not HAS_DDS, reason="cyclonedds (extra rig)")
+@given(st.lists(hostile, min_size=1, max_size=3))
+@settings(max_examples=2, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_whatever_the_sensor_does_over_dds_commands_stay_within_limits(
+    tmp_path_factory: pytest.TempPathFactory, sensor: list[dict[str, Any]]
+) -> None:
+    require_laws_of_a_broken_run(tmp_path_factory.mktemp("bench"), sensor, "dds")
+
+
+def require_laws_of_a_broken_run(folder: Path, faults: list[dict[str, Any]], wire: str) -> None:
+    """Commands as they left the controller, and what the device held, lie within value and rate."""
+    desk = Desk()
     timer = threading.Timer(1.2, desk.flag.end)
     timer.start()
     try:
-        _, _, device = run(folder, [*wire, *sensor], desk, prepare=TO_AND_FRO)
+        _, _, device = run(folder, faults, desk, wire, prepare=TO_AND_FRO)
     finally:
         timer.cancel()
     require_within_limits(device.tap, slack=0.1)  # after a gap a rate counts from what the device says that it holds

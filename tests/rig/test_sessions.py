@@ -15,12 +15,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hystmpc.rig.axes import each, together
 from hystmpc.rig.device import DeviceSettings, SimulatedDevice
 from hystmpc.rig.transports.dds import DdsSettings
 from hystmpc.rig.transports.transport import ANOTHER, NO_GREETING, OLD, Admission, Conversion, Incoming, Outgoing, Says
 from hystmpc.rig.transports.udp import UdpLink, UdpSettings, UdpTransport
 
-SAME = Conversion(1.0, 0.0, 1.0)
+SAME = {1: Conversion(1.0, 0.0, 1.0), 2: Conversion(together((1.0, 1.0)), together((0.0, 0.0)), 1.0)}
 S = 1_000_000_000
 DT, RATE = 0.04, 10.0
 
@@ -201,7 +202,12 @@ class Wire:
     link: Any
     first: Any
     second: Any
+    axes: int
     _sequence: int = 0
+
+    def value(self, one: float) -> Any:
+        """The number, or a pair of it and its opposite."""
+        return one if self.axes == 1 else together((one, -one))
 
     def until(self, get: Callable[[], Any], seconds: float = 5.0) -> Any:
         end = time.monotonic() + seconds
@@ -209,7 +215,7 @@ class Wire:
             if found := get():
                 return found
             self._sequence += 1
-            self.link.send(Outgoing(40.0, 0.0, self._sequence, time.monotonic_ns()))
+            self.link.send(Outgoing(self.value(40.0), self.value(0.0), self._sequence, time.monotonic_ns()))
             time.sleep(0.005)
         raise AssertionError("nothing came")
 
@@ -235,17 +241,24 @@ DDS = pytest.param("dds", marks=[pytest.mark.slow, pytest.mark.skipif(not HAS_DD
 
 
 @pytest.fixture(params=["udp", DDS])
-def wire(request: pytest.FixtureRequest) -> Iterator[Wire]:
+def kind(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture(params=[1, 2], ids=["one-axis", "two-axes"])
+def wire(kind: str, request: pytest.FixtureRequest) -> Iterator[Wire]:
+    axes = request.param
     made: Wire
-    if request.param == "udp":
-        link = UdpLink("127.0.0.1", 0, 0.3)
-        settings = UdpSettings(kind="udp", port=link.port)
-        made = Wire(link, UdpTransport(settings, SAME), UdpTransport(settings, SAME))
+    if kind == "udp":
+        served = UdpLink("127.0.0.1", 0, 0.3, axes=axes)
+        settings = UdpSettings(kind="udp", port=served.port)
+        made = Wire(served, UdpTransport(settings, SAME[axes]), UdpTransport(settings, SAME[axes]), axes)
     else:
         from hystmpc.rig.transports.dds_ import DdsLink, dds_transport
 
         topics = DdsSettings.parse({"kind": "dds", "domain": 74})
-        made = Wire(DdsLink(topics, 0.3), dds_transport(topics, SAME), dds_transport(topics, SAME))
+        link = DdsLink(topics, 0.3, axes)  # first: whoever opens the domain of this process closes it for all
+        made = Wire(link, dds_transport(topics, SAME[axes]), dds_transport(topics, SAME[axes]), axes)
     yield made
     made.first.stop()
     made.second.stop()
@@ -257,19 +270,22 @@ def test_a_second_controller_leaves_the_first_one_unharmed(wire: Wire) -> None:
     wire.heard(wire.first)
     taken = []
     for k in range(20):
-        wire.first.write(0.1 * k)
+        wire.first.write(wire.value(0.1 * k))
         if wire.second.read() is None:
             wire.second.greet()
-        wire.second.write(6.0)
+        wire.second.write(wire.value(6.0))
         time.sleep(0.01)
-        wire.link.send(Outgoing(40.0, 0.0, 1000 + k, time.monotonic_ns()))
+        wire.link.send(Outgoing(wire.value(40.0), wire.value(0.0), 1000 + k, time.monotonic_ns()))
         while (message := wire.link.receive()) is not None:
             taken.append(message)
     wire.second.stop(goodbye=True)
-    wire.first.write(2.0)
+    wire.first.write(wire.value(2.0))
     taken.append(wire.until(wire.link.receive))
     assert {message.says for message in taken} == {"command"}
-    assert [message.command for message in taken] == [*(pytest.approx(0.1 * k) for k in range(20)), 2.0]
+    assert [message.command for message in taken] == [
+        *(pytest.approx(wire.value(0.1 * k)) for k in range(20)),
+        wire.value(2.0),
+    ]
     assert wire.link.counters[ANOTHER] >= 20
 
 
@@ -285,7 +301,7 @@ def test_a_session_that_has_never_commanded_says_no_goodbye(wire: Wire) -> None:
 
 def test_without_a_goodbye_nothing_is_said_at_the_end(wire: Wire) -> None:
     wire.heard(wire.first)
-    wire.first.write(1.0)
+    wire.first.write(wire.value(1.0))
     wire.until(lambda: wire.said("command"))
     wire.first.stop()
     time.sleep(0.1)
@@ -294,7 +310,7 @@ def test_without_a_goodbye_nothing_is_said_at_the_end(wire: Wire) -> None:
 
 def test_a_command_that_is_no_number_is_refused(wire: Wire) -> None:
     wire.heard(wire.first)
-    wire.first.write(math.nan)
-    wire.first.write(1.5)
-    assert wire.until(wire.link.receive) == Incoming(1.5)
+    wire.first.write(together([*each(wire.value(1.0))[:-1], math.nan]))
+    wire.first.write(wire.value(1.5))
+    assert wire.until(wire.link.receive) == Incoming(wire.value(1.5))
     assert wire.link.counters["not-a-number"] == 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +16,29 @@ KNOWN = {
     "builtin_interfaces/msg/Time": [("sec", "int32"), ("nanosec", "uint32")],
     "std_msgs/msg/Header": [("stamp", "builtin_interfaces/msg/Time"), ("frame_id", "string")],
     "std_msgs/msg/Float64": [("data", "float64")],
+    "std_msgs/msg/MultiArrayDimension": [("label", "string"), ("size", "uint32"), ("stride", "uint32")],
+    "std_msgs/msg/MultiArrayLayout": [("dim", "std_msgs/msg/MultiArrayDimension[]"), ("data_offset", "uint32")],
+    "std_msgs/msg/Float64MultiArray": [("layout", "std_msgs/msg/MultiArrayLayout"), ("data", "float64[]")],
     "std_srvs/srv/Trigger_Request": [],
     "std_srvs/srv/Trigger_Response": [("success", "bool"), ("message", "string")],
 }
-PRIMITIVE = {"float64": float, "int32": int, "uint32": int, "string": str, "bool": bool, "float64[]": list}
-_FIELD = re.compile(r"([a-zA-Z]\w*(?:/\w+)*(?:\[\])?)\s+([a-z][a-z0-9]*(?:_[a-z0-9]+)*)")  # names as rosidl wants them
+
+
+class Pair(list[float]):
+    """Two numbers: an array of fixed length, as a new message has it."""
+
+    def __init__(self, values: Iterable[float] = (0.0, 0.0)) -> None:
+        super().__init__(values)
+        assert len(self) == 2, self
+
+
+PRIMITIVE: dict[str, Any] = {
+    "float64": float, "int32": int, "uint32": int, "string": str, "bool": bool, "float64[]": list, "float64[2]": Pair,
+    "std_msgs/msg/MultiArrayDimension[]": list,
+}  # fmt: skip
+_FIELD = re.compile(
+    r"([a-zA-Z]\w*(?:/\w+)*(?:\[2?\])?)\s+([a-z][a-z0-9]*(?:_[a-z0-9]+)*)"
+)  # names as rosidl wants them
 
 
 def fields(text: str) -> list[tuple[str, str]]:

@@ -21,19 +21,20 @@ SUCCESS, ERROR = 0, 2
 TIP = "tip.yaml"
 
 
-def written(folder: Path, single: bool = False) -> list[str]:
-    """Export the controller of examples/tip.yaml to a folder; the arguments that compile the plugin beside it."""
-    export_controller(EXAMPLES / TIP, single=single).write(folder)
+def written(folder: Path, single: bool = False, tip: Any = EXAMPLES / TIP) -> list[str]:
+    """Export a controller, that of examples/tip.yaml, to a folder; the arguments that compile the plugin beside it."""
+    export_controller(tip, single=single).write(folder)
     compile_c([*C, "-c", "hystmpc.c", "-o", "hystmpc.o"], folder)
     sources = [str(PACKAGE / "src" / "controller.cpp"), str(STUB / "driver.cpp")]
     return [*CPP, "-I.", f"-I{PACKAGE / 'include'}", f"-I{STUB}", *sources, "hystmpc.o", "-lm"]
 
 
-def compiled(folder: Path) -> ctypes.CDLL:
+def compiled(folder: Path, tip: Any = EXAMPLES / TIP) -> ctypes.CDLL:
     """The plugin as a library."""
-    compile_c([*written(folder), "-shared", "-o", "plugin.so"], folder, "c++")
+    compile_c([*written(folder, tip=tip), "-shared", "-o", "plugin.so"], folder, "c++")
     library = ctypes.CDLL(str(folder / "plugin.so"))
     manager, text, number, whole = ctypes.c_void_p, ctypes.c_char_p, ctypes.c_double, ctypes.c_int
+    numbers = ctypes.POINTER(ctypes.c_double)
     calls: Mapping[str, tuple[Any, list[Any]]] = {
         "manager_new": (manager, [ctypes.c_uint]),
         "manager_delete": (None, [manager]),
@@ -48,6 +49,13 @@ def compiled(folder: Path) -> ctypes.CDLL:
         "refer": (None, [manager, number]),
         "chain": (whole, [manager, whole]),
         "target": (whole, [manager, number]),
+        "targets": (whole, [manager, numbers, whole]),
+        "hold_at": (None, [manager, whole, number]),
+        "held_at": (number, [manager, whole]),
+        "measure_at": (None, [manager, whole, number]),
+        "refer_at": (None, [manager, whole, number]),
+        "set_texts": (None, [manager, text, text]),
+        "set_numbers": (None, [manager, text, numbers, whole]),
         "update": (ctypes.c_long, [manager]),
         "update_after": (ctypes.c_long, [manager, number]),
         **{name: (whole, [manager]) for name in ("configure", "activate", "deactivate", "cleanup", "stop")},
@@ -108,3 +116,57 @@ class Manager:
         done = self.call("update") if period_s is None else self.call("update_after", period_s)
         assert done == 0, "an update took memory, or failed"
         return self.held_mm
+
+
+class PlaneManager(Manager):
+    """A controller manager with a controller of two axes, n drives in metres and two angles in radians."""
+
+    def __init__(
+        self,
+        library: ctypes.CDLL,
+        commands: int,
+        rate_hz: int = 25,
+        lists: Mapping[str, Any] | None = None,
+        **more: Any,
+    ) -> None:
+        self._library, self._it, self.commands = library, library.manager_new(rate_hz), commands
+        library.set_number(self._it, b"command_scale", 0.001)
+        named = {"joints": ["tip_x", "tip_y"], "command_interfaces": [f"drive_{k}/position" for k in range(commands)]}
+        for name, values in {**named, **(lists or {})}.items():
+            if values and isinstance(values[0], float):
+                library.set_numbers(self._it, name.encode(), (ctypes.c_double * len(values))(*values), len(values))
+            else:
+                library.set_texts(self._it, name.encode(), " ".join(values).encode())
+        for flag, on in more.items():
+            library.set_flag(self._it, flag.encode(), on)
+
+    @property
+    def held(self) -> list[float]:
+        """The commands that stand at the drives' interfaces [mm]."""
+        return [1000.0 * self.call("held_at", k) for k in range(self.commands)]
+
+    def put(self, angles_deg: Any, held_mm: Any) -> None:
+        """What the sensor shows and the drives hold."""
+        self.see(angles_deg)
+        for k, command in enumerate(held_mm):
+            self.call("hold_at", k, command / 1000.0)
+
+    def see(self, angles_deg: Any) -> None:
+        for i, angle in enumerate(angles_deg):
+            self.call("measure_at", i, math.radians(angle))
+
+    def begin(self, angles_deg: Any, held_mm: Any) -> int:
+        """Configure and activate."""
+        self.put(angles_deg, held_mm)
+        assert self.call("configure") == SUCCESS, self.said
+        return int(self.call("activate"))
+
+    def lead(self, angles_deg: Any) -> None:
+        values = [math.radians(angle) for angle in angles_deg]
+        assert self.call("targets", (ctypes.c_double * len(values))(*values), len(values)) == 1
+
+    def advance(self, angles_deg: Any) -> list[float]:
+        """One period: measure, update, and the commands then [mm]."""
+        self.see(angles_deg)
+        assert self.call("update") == 0, "an update took memory, or failed"
+        return self.held

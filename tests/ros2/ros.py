@@ -11,7 +11,7 @@ from functools import cache
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
-from .interfaces import PRIMITIVE, interfaces
+from .interfaces import PRIMITIVE, Pair, interfaces
 
 
 @cache
@@ -26,6 +26,9 @@ def message_class(name: str) -> Any:
 
     def put(self: Any, key: str, value: Any) -> None:
         of = dict(parts)[key]
+        if of == "float64[2]":  # rosidl takes any two floats
+            assert all(type(one) is float for one in value), value
+            value = Pair(value)
         wanted = PRIMITIVE.get(of) or message_class(of)
         assert isinstance(value, wanted), f"{name}.{key}: got {type(value).__name__}, expected {of}"
         object.__setattr__(self, key, value)

@@ -6,8 +6,10 @@ import dataclasses
 import importlib.util
 import struct
 import time
+from collections.abc import Callable
 from typing import Any, get_type_hints
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,7 +18,7 @@ from hystmpc.rig.transports.dds import DdsSettings
 
 from .interfaces import MSGS, PRIMITIVE, dds_name, interfaces
 
-STAMPED = "hystmpc_msgs/msg/Float64Stamped"
+STAMPED, PAIR = "hystmpc_msgs/msg/Float64Stamped", "hystmpc_msgs/msg/Float64PairStamped"
 needs_dds = pytest.mark.skipif(importlib.util.find_spec("cyclonedds") is None, reason="cyclonedds (extra rig)")
 needs_rosbags = pytest.mark.skipif(importlib.util.find_spec("rosbags") is None, reason="rosbags (extra logs)")
 
@@ -27,11 +29,21 @@ def idl(kind: Any) -> list[tuple[str, str]]:
     found = []
     for field in dataclasses.fields(kind):
         of = hints[field.name]
-        if dataclasses.is_dataclass(of):
-            found.append((field.name, ros_name(of)))
-        else:
-            found.append((field.name, {str: "string"}.get(of) or str(of.__metadata__[0])))
+        found.append((field.name, ros_type(of)))
     return found
+
+
+def ros_type(of: Any) -> str:
+    """The name in ROS of the type of a field."""
+    if dataclasses.is_dataclass(of):
+        return ros_name(of)
+    if of is str:
+        return "string"
+    (said,) = of.__metadata__
+    if isinstance(said, str):
+        return said
+    part = said.subtype
+    return f"{ros_type(part)}[{getattr(said, 'length', '')}]"
 
 
 def ros_name(kind: Any) -> str:
@@ -41,13 +53,13 @@ def ros_name(kind: Any) -> str:
     return f"{package}/{room}/{last.removesuffix('_')}"
 
 
-def cdr(header: tuple[int, int, str], session: int, sequence: int, data: float, held: float) -> bytes:
-    """A stamped number as ROS writes it: CDR of XCDR1, little-endian, every number at a multiple of its size."""
+def cdr(header: tuple[int, int, str], session: int, sequence: int, *numbers: float) -> bytes:
+    """Stamped numbers as ROS writes them: CDR of XCDR1, little-endian, every number at a multiple of its size."""
     sec, nanosec, frame = header
     raw = frame.encode() + b"\0"
     body = struct.pack("<iII", sec, nanosec, len(raw)) + raw
     body += b"\0" * (-len(body) % 4) + struct.pack("<II", session, sequence)
-    body += b"\0" * (-len(body) % 8) + struct.pack("<dd", data, held)
+    body += b"\0" * (-len(body) % 8) + struct.pack(f"<{len(numbers)}d", *numbers)
     return b"\x00\x01\x00\x00" + body
 
 
@@ -57,40 +69,43 @@ STAMPS = st.tuples(
     st.integers(-(2**31), 2**31 - 1), U32, st.text(st.characters(codec="ascii", exclude_characters="\0"))
 )
 MESSAGES = st.tuples(STAMPS, U32, U32, NUMBER, NUMBER)
+PAIRS = st.tuples(STAMPS, U32, U32, NUMBER, NUMBER, NUMBER, NUMBER)
 
 
 @needs_dds
 def test_types_of_the_transport_are_those_of_the_files() -> None:
-    from hystmpc.rig.transports.dds_ import Float64, Float64Stamped, Header, Time
+    from hystmpc.rig.transports import dds_
 
     known = interfaces()
-    for kind in (Float64, Float64Stamped, Header, Time):
+    parts = dds_.Header, dds_.Time, dds_.MultiArrayLayout, dds_.MultiArrayDimension
+    for kind in (*dds_.MESSAGES.values(), *parts):
         assert idl(kind) == known[ros_name(kind)]
         assert kind.__idl_typename__ == dds_name(ros_name(kind))
-    assert ros_name(Float64Stamped) == STAMPED
+    assert [ros_name(dds_.MESSAGES["float64_stamped", axes]) for axes in (1, 2)] == [STAMPED, PAIR]
 
 
 @needs_dds
-@given(MESSAGES)
+@given(MESSAGES | PAIRS)
 def test_bytes_are_those_of_ros(message: Any) -> None:
     assert of_the_transport(message).serialize() == cdr(*message)
 
 
 @needs_rosbags
-@given(MESSAGES)
+@given(MESSAGES | PAIRS)
 def test_rosbags_reads_the_same_file_to_the_same_bytes(message: Any) -> None:
     """rosbags reads the .msg file by its own rules."""
-    store, known = store_of_rosbags()
-    (sec, nanosec, frame), session, sequence, data, held = message
+    store = store_of_rosbags()
+    (sec, nanosec, frame), session, sequence, *numbers = message
     time_ = store.types["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
     header = store.types["std_msgs/msg/Header"](stamp=time_, frame_id=frame)
-    made = known(header=header, session=session, sequence=sequence, data=data, held=held)
-    assert bytes(store.serialize_cdr(made, STAMPED)) == cdr(*message)
+    name, data, held = parted(numbers, np.array)
+    made = store.types[name](header=header, session=session, sequence=sequence, data=data, held=held)
+    assert bytes(store.serialize_cdr(made, name)) == cdr(*message)
 
 
 @needs_rosbags
 def test_rosbags_reads_every_message_as_these_tests_do() -> None:
-    store, _ = store_of_rosbags()
+    store = store_of_rosbags()
     for path in (MSGS / "msg").glob("*.msg"):
         found = store.types[f"hystmpc_msgs/msg/{path.stem}"]
         assert [field.name for field in dataclasses.fields(found) if field.name != "__msgtype__"] == [
@@ -103,9 +118,9 @@ def test_rosbags_reads_every_message_as_these_tests_do() -> None:
 def test_hashes_of_the_types_are_those_of_ros() -> None:
     from hystmpc.rig.transports.dds_ import HASHES
 
-    store, _ = store_of_rosbags()
+    store, names = store_of_rosbags(), (STAMPED, PAIR, "std_msgs/msg/Float64", "std_msgs/msg/Float64MultiArray")
     assert {ros_name(kind): known for kind, known in HASHES.items()} == {
-        name: store.hash_rihs01(name) for name in (STAMPED, "std_msgs/msg/Float64")
+        name: store.hash_rihs01(name) for name in names
     }
 
 
@@ -161,19 +176,28 @@ def test_a_domain_sees_topics_types_and_bytes_as_ros_names_them(monkeypatch: pyt
     assert seen[0] == cdr((sec, nanosec, frame), session, 7, 42.5, 1.25)
 
 
+def parted(numbers: list[float], array: Callable[[list[float]], Any]) -> tuple[str, Any, Any]:
+    """The type of a message with these numbers, its data and its held commands."""
+    if len(numbers) == 2:
+        return STAMPED, *numbers
+    return PAIR, array(numbers[:2]), array(numbers[2:])
+
+
 def of_the_transport(message: Any) -> Any:
     """The same message as the DDS transport writes it."""
-    from hystmpc.rig.transports.dds_ import Float64Stamped, Header, Time
+    from hystmpc.rig.transports.dds_ import Float64PairStamped, Float64Stamped, Header, Time
 
-    (sec, nanosec, frame), session, sequence, data, held = message
-    return Float64Stamped(Header(Time(sec, nanosec), frame), session, sequence, data, held)
+    (sec, nanosec, frame), session, sequence, *numbers = message
+    name, data, held = parted(numbers, list)
+    kind: Any = Float64Stamped if name == STAMPED else Float64PairStamped
+    return kind(Header(Time(sec, nanosec), frame), session, sequence, data, held)
 
 
-def store_of_rosbags() -> tuple[Any, Any]:
-    """Types of ROS 2 and of this package, read by rosbags; and the stamped number."""
+def store_of_rosbags() -> Any:
+    """Types of ROS 2 and of this package, read by rosbags."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
     for path in sorted((MSGS / "msg").glob("*.msg")):
         store.register(get_types_from_msg(path.read_text(encoding="utf-8"), f"hystmpc_msgs/msg/{path.stem}"))
-    return store, store.types[STAMPED]
+    return store

@@ -5,15 +5,14 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { TIME = 0, COMMAND = 1, OUTPUT = 2 };             /* value references, as in modelDescription.xml */
+@REFERENCES@
 enum { DONE = 0, REFUSED = 2, FAILED = 3 };             /* OK, Discard and Error of the standard */
 enum { MADE = 0, STARTING = 1, RUNNING = 2, ENDED = 3 }; /* what an instance has been told */
 enum { MOST_SAMPLES = 10000000 };                       /* of one step: a few seconds of work */
 
 /* The whole memory of an instance: a copy of it is a snapshot. */
 typedef struct {
-    double x[HYSTMPC_STATES];
-    double command, output;
+@SIGNALS@
     double start_s, stop_s;
     int64_t samples; /* since the start */
     int64_t stage;
@@ -32,37 +31,7 @@ static double device_time(const device_state *s) {
     return s->start_s + (double)s->samples * HYSTMPC_SAMPLE_S;
 }
 
-/* At rest, as the Python simulator is after a reset. */
-static void device_reset(device_state *s) {
-    static const double rest[HYSTMPC_STATES] = HYSTMPC_REST;
-    memset(s, 0, sizeof *s);
-    memcpy(s->x, rest, sizeof rest);
-    s->command = HYSTMPC_REST_COMMAND;
-    s->output = HYSTMPC_REST_OUTPUT;
-    s->stop_s = INFINITY;
-}
-
-static int device_get(const struct instance *d, const device_state *s, const unsigned int *which, size_t count,
-                      double *values) {
-    for (size_t i = 0; i < count; i++) {
-        if (which[i] == TIME) values[i] = device_time(s);
-        else if (which[i] == COMMAND) values[i] = s->command;
-        else if (which[i] == OUTPUT) values[i] = s->output;
-        else return tell(d, FAILED, "get: unknown value reference, expected 0 (time), 1 (command) or 2 (output)");
-    }
-    return DONE;
-}
-
-static int device_set(const struct instance *d, device_state *s, const unsigned int *which, size_t count,
-                      const double *values) {
-    for (size_t i = 0; i < count; i++) {
-        if (which[i] != COMMAND) return tell(d, FAILED, "set: only value reference 1, the command, can be set");
-        if (!plain_number(values[i])) return tell(d, REFUSED, "set: the command is not a finite number");
-        s->command = values[i];
-    }
-    return DONE;
-}
-
+@ACCESS@
 /* The start of a run. */
 static int device_start(const struct instance *d, device_state *s, double start_s, double stop_s) {
     if (s->stage != MADE) return tell(d, FAILED, "the start time can be set only before the initialisation");
@@ -81,15 +50,7 @@ static int device_enter(const struct instance *d, device_state *s, int from, int
     return DONE;
 }
 
-/* One sample with the command held; 0 where the device does not answer with finite numbers. */
-static int device_advance(device_state *s) {
-    double room[HYSTMPC_ROOM], sum = 0.0;
-    s->output = hystmpc_chain_step(device_chain, device_kept, s->x, s->command, (char *)room);
-    for (int i = 0; i < HYSTMPC_STATES; i++) sum += fabs(s->x[i]);
-    s->samples++;
-    return plain_number(sum) && plain_number(s->output);
-}
-
+@ADVANCE@
 /* Whole samples; the state is kept where the step is refused or fails. */
 static int device_step(const struct instance *d, device_state *s, double at_s, double length_s) {
     char line[200];

@@ -23,6 +23,7 @@ constexpr double SHORTEST = 0.5;        // of a sample: time between two command
 constexpr double GAP = 4.0;             // samples without an update after which nothing is sent at once
 constexpr int MOST_MISSED = 50;         // samples of a pause that the model is led through
 static_assert(std::atomic<double>::is_always_lock_free, "an update must not wait");
+static_assert(std::atomic<unsigned>::is_always_lock_free, "an update must not wait");
 
 // The number behind an interface; older releases of ros2_control have no get_optional.
 template <typename Interface>
@@ -44,7 +45,34 @@ double seconds_of(const Period &, long) {
     return NONE;
 }
 
-hystmpc_real real_of(double value) { return static_cast<hystmpc_real>(value); }
+// An array with the same value in each place.
+template <typename Values>
+Values all_of(double value) {
+    Values values;
+    values.fill(value);
+    return values;
+}
+
+const Angles NO_ANGLES = all_of<Angles>(NONE);
+
+// Numbers for a message: `1.5`, or `1.5, -2.0`.
+template <typename Values>
+std::string listed(const Values & values) {
+    std::string text;
+    for (const double value : values) text += (text.empty() ? "" : ", ") + std::to_string(value);
+    return text;
+}
+
+std::string listed(const std::vector<std::string> & names) {
+    std::string text;
+    for (const auto & name : names) text += (text.empty() ? "" : ", ") + name;
+    return text;
+}
+
+#ifdef HYSTMPC_AXES
+using Texts = std::vector<std::string>;
+using Numbers = std::vector<double>;
+#endif
 
 const char * reason(int answer) {
     switch (answer) {
@@ -59,12 +87,19 @@ const char * reason(int answer) {
 
 CallbackReturn HystmpcController::on_init() {
     try {
+#ifdef HYSTMPC_AXES
+        auto_declare<Texts>("joints", {});
+        auto_declare<Texts>("command_interfaces", {});
+        auto_declare<Texts>("state_interfaces", {});
+        auto_declare<Numbers>("start_commands", {});
+#else
         auto_declare<std::string>("joint", "");
         auto_declare<std::string>("command_interface", "");
         auto_declare<std::string>("state_interface", "");
+        auto_declare<double>("start_command", NONE);
+#endif
         auto_declare<std::string>("angle_unit", "rad");
         auto_declare<double>("command_scale", 1.0);
-        auto_declare<double>("start_command", NONE);
         auto_declare<double>("least_angle", NONE);
         auto_declare<double>("greatest_angle", NONE);
         auto_declare<bool>("deactivate_at_once", false);
@@ -76,31 +111,24 @@ CallbackReturn HystmpcController::on_init() {
 }
 
 InterfaceConfiguration HystmpcController::command_interface_configuration() const {
-    return {interface_configuration_type::INDIVIDUAL, {command_name_}};
+    return {interface_configuration_type::INDIVIDUAL, command_names_};
 }
 
 InterfaceConfiguration HystmpcController::state_interface_configuration() const {
-    return {interface_configuration_type::INDIVIDUAL, {state_name_}};
+    return {interface_configuration_type::INDIVIDUAL, state_names_};
 }
 
 CallbackReturn HystmpcController::on_configure(const rclcpp_lifecycle::State &) {
     const auto node = get_node();
-    const auto text = [&node](const char * name) { return node->get_parameter(name).as_string(); };
-    joint_ = text("joint");
-    command_name_ = text("command_interface");
-    state_name_ = text("state_interface");
-    if (joint_.empty()) return refused("got no parameter joint, expected the name of the joint that is the tip");
-    if (command_name_.empty()) command_name_ = joint_ + "/position";
-    if (state_name_.empty()) state_name_ = joint_ + "/position";
+    if (const std::string why = read_names(); !why.empty()) return refused(why);
 
-    const std::string unit = text("angle_unit");
+    const std::string unit = node->get_parameter("angle_unit").as_string();
     if (unit != "rad" && unit != "deg") return refused("got angle_unit " + unit + ", expected rad or deg");
     to_deg_ = unit == "deg" ? 1.0 : 180.0 / 3.14159265358979323846;
     command_scale_ = node->get_parameter("command_scale").as_double();
     if (!std::isfinite(command_scale_) || command_scale_ == 0.0) {
         return refused("got a command_scale of 0 or no number, expected the units of the interface in one mm or bar");
     }
-    start_command_ = node->get_parameter("start_command").as_double();
     least_angle_ = node->get_parameter("least_angle").as_double();
     greatest_angle_ = node->get_parameter("greatest_angle").as_double();
     if (least_angle_ >= greatest_angle_) return refused("got a least_angle that is not below greatest_angle");
@@ -113,12 +141,21 @@ CallbackReturn HystmpcController::on_configure(const rclcpp_lifecycle::State &) 
             " Hz: that of the exported controller. Set the parameter update_rate of this controller");
     }
 
-    target_.store(NONE);
+    put_target(NO_ANGLES);
     stop_.store(false);
-    reference_interfaces_.assign(1, NONE);
-    target_subscription_ = node->create_subscription<std_msgs::msg::Float64>(
-        "~/target", rclcpp::SystemDefaultsQoS(),
-        [this](const std_msgs::msg::Float64 & message) { target_.store(message.data); });
+    reference_interfaces_.assign(AXES, NONE);
+    target_subscription_ = node->create_subscription<Target>(
+        "~/target", rclcpp::SystemDefaultsQoS(), [this](const Target & message) {
+#ifdef HYSTMPC_AXES
+            if (message.data.size() != AXES) {
+                refused("got " + std::to_string(message.data.size()) + " angles on ~/target, expected x and y");
+                return;
+            }
+            put_target({message.data[0], message.data[1]});
+#else
+            put_target({message.data});
+#endif
+        });
     stop_service_ = node->create_service<std_srvs::srv::Trigger>(
         "~/stop", [this](
                       const std::shared_ptr<std_srvs::srv::Trigger::Request>,
@@ -130,34 +167,83 @@ CallbackReturn HystmpcController::on_configure(const rclcpp_lifecycle::State &) 
     return CallbackReturn::SUCCESS;
 }
 
-CallbackReturn HystmpcController::on_activate(const rclcpp_lifecycle::State &) {
-    if (command_interfaces_.size() != 1 || state_interfaces_.size() != 1) {
-        return refused("expected one command interface " + command_name_ + " and one state interface " + state_name_);
+// The names of the interfaces, and what the drive holds where it does not say; why they make no sense, or nothing.
+std::string HystmpcController::read_names() {
+    const auto node = get_node();
+#ifdef HYSTMPC_AXES
+    const auto texts = [&node](const char * name) { return node->get_parameter(name).as_string_array(); };
+    joints_ = texts("joints");
+    command_names_ = texts("command_interfaces");
+    state_names_ = texts("state_interfaces");
+    const Numbers starts = node->get_parameter("start_commands").as_double_array();
+    if (joints_.size() != AXES) {
+        return "got " + std::to_string(joints_.size()) + " names in the parameter joints, expected those of x and y";
     }
-    const double told = told_command(), angle = measured_deg(), held = std::isnan(told) ? start_command_ : told;
-    const int answer = hystmpc_init(controller_.get(), real_of(angle), real_of(held));
+    for (const std::string & joint : joints_) {
+        if (texts("state_interfaces").empty()) state_names_.push_back(joint + "/position");
+        if (COMMANDS == AXES && texts("command_interfaces").empty()) command_names_.push_back(joint + "/position");
+    }
+    if (state_names_.size() != AXES || command_names_.size() != COMMANDS) {
+        return "got " + std::to_string(state_names_.size()) + " state_interfaces and " +
+               std::to_string(command_names_.size()) + " command_interfaces, expected " + std::to_string(AXES) + " and " +
+               std::to_string(COMMANDS);
+    }
+    if (!starts.empty() && starts.size() != COMMANDS) {
+        return "got " + std::to_string(starts.size()) + " start_commands, expected " + std::to_string(COMMANDS);
+    }
+    start_command_ = all_of<Commands>(NONE);
+    std::copy(starts.begin(), starts.end(), start_command_.begin());
+#else
+    const auto text = [&node](const char * name) { return node->get_parameter(name).as_string(); };
+    joints_ = {text("joint")};
+    command_names_ = {text("command_interface")};
+    state_names_ = {text("state_interface")};
+    if (joints_[0].empty()) return "got no parameter joint, expected the name of the joint that is the tip";
+    if (command_names_[0].empty()) command_names_[0] = joints_[0] + "/position";
+    if (state_names_[0].empty()) state_names_[0] = joints_[0] + "/position";
+    start_command_ = {node->get_parameter("start_command").as_double()};
+#endif
+    return "";
+}
+
+// Whether every interface has been given to this controller.
+bool HystmpcController::claimed() const {
+    return command_interfaces_.size() == COMMANDS && state_interfaces_.size() == AXES;
+}
+
+CallbackReturn HystmpcController::on_activate(const rclcpp_lifecycle::State &) {
+    if (!claimed()) {
+        return refused(
+            "expected the command interfaces " + listed(command_names_) + " and the state interfaces " +
+            listed(state_names_));
+    }
+    const Commands told = told_command();
+    Commands held = told;
+    for (std::size_t k = 0; k < COMMANDS; k++) held[k] = std::isnan(told[k]) ? start_command_[k] : told[k];
+    const Angles angles = measured_deg();
+    const int answer = engine::init(controller_.get(), angles, held);
     if (answer != HYSTMPC_STARTED) {
         return refused(
-            std::string("cannot start: ") + reason(answer) + ", got " + std::to_string(angle) + " deg under command " +
-            std::to_string(held));
+            std::string("cannot start: ") + reason(answer) + ", got " + listed(angles) + " deg under command " +
+            listed(held));
     }
-    target_.store(NONE);
+    put_target(NO_ANGLES);
     stop_.store(false);
-    reference_interfaces_[0] = angle / to_deg_;
+    for (std::size_t i = 0; i < AXES; i++) reference_interfaces_[i] = angles[i] / to_deg_;
     sent_ = held;
     waited_ = NONE;
     return CallbackReturn::SUCCESS;
 }
 
 CallbackReturn HystmpcController::on_deactivate(const rclcpp_lifecycle::State &) {
-    if (command_interfaces_.size() != 1 || state_interfaces_.size() != 1) return CallbackReturn::SUCCESS;
+    if (!claimed()) return CallbackReturn::SUCCESS;
     hystmpc_stop(controller_.get());
-    const double held = held_command();
+    const Commands held = held_command();
     if (!admissible(held)) return CallbackReturn::SUCCESS;
-    if (!same(held, sent_)) hystmpc_look_on(controller_.get(), real_of(NONE), real_of(held));
-    double u = hystmpc_step(controller_.get(), real_of(measured_deg()), nullptr).u;
+    if (!same(held, sent_)) engine::look_on(controller_.get(), NO_ANGLES, held);
+    Commands u = engine::step(controller_.get(), measured_deg());
     for (int k = 0; deactivate_at_once_ && k < MOST_STOP_STEPS; k++) {
-        const double next = hystmpc_step(controller_.get(), real_of(NONE), nullptr).u;
+        const Commands next = engine::step(controller_.get(), NO_ANGLES);
         if (next == u) break;
         u = next;
     }
@@ -173,41 +259,60 @@ CallbackReturn HystmpcController::on_cleanup(const rclcpp_lifecycle::State &) {
 
 std::vector<hardware_interface::CommandInterface> HystmpcController::on_export_reference_interfaces() {
     std::vector<hardware_interface::CommandInterface> interfaces;
-    interfaces.emplace_back(get_node()->get_name(), joint_ + "/position", &reference_interfaces_[0]);
+    for (std::size_t i = 0; i < AXES; i++) {
+        interfaces.emplace_back(get_node()->get_name(), joints_[i] + "/position", &reference_interfaces_[i]);
+    }
     return interfaces;
 }
 
 // Whoever leads next begins with the reference of now.
 bool HystmpcController::on_set_chained_mode(bool) {
-    target_.store(NONE);
+    put_target(NO_ANGLES);
     return true;
 }
 
+// A message for the next update; the count is odd meanwhile, so that no update takes one half of it.
+void HystmpcController::put_target(const Angles & angles) {
+    target_count_.fetch_add(1);
+    for (std::size_t i = 0; i < AXES; i++) target_[i].store(angles[i]);
+    target_count_.fetch_add(1);
+}
+
 return_type HystmpcController::update_reference_from_subscribers(const rclcpp::Time &, const rclcpp::Duration &) {
-    const double target = target_.load();
-    if (std::isfinite(target)) reference_interfaces_[0] = target;
+    const unsigned count = target_count_.load();
+    Angles target;
+    bool finite = true;
+    for (std::size_t i = 0; i < AXES; i++) {
+        target[i] = target_[i].load();
+        finite = finite && std::isfinite(target[i]);
+    }
+    if (!finite || count % 2 != 0 || count != target_count_.load()) return return_type::OK;  // the next update takes it
+    std::copy(target.begin(), target.end(), reference_interfaces_.begin());
     return return_type::OK;
 }
 
 return_type HystmpcController::update_and_write_commands(const rclcpp::Time &, const rclcpp::Duration & period) {
     if (stop_.exchange(false)) hystmpc_stop(controller_.get());
-    hystmpc_set_target(controller_.get(), real_of(to_deg_ * reference_interfaces_[0]));
-    const double held = held_command(), samples = samples_since_the_last(seconds_of(period, 0));
+    Angles wanted;
+    for (std::size_t i = 0; i < AXES; i++) wanted[i] = to_deg_ * reference_interfaces_[i];
+    engine::set_target(controller_.get(), wanted);
+    const Commands held = held_command();
+    const double samples = samples_since_the_last(seconds_of(period, 0));
     if (samples < SHORTEST) return return_type::OK;
     waited_ = 0.0;
     if (!admissible(held)) {  // it is not known what the device holds
-        sent_ = NONE;
+        sent_ = all_of<Commands>(NONE);
         return return_type::ERROR;
     }
     for (int k = 1; k < MOST_MISSED && k + SHORTEST <= samples; k++) {
-        hystmpc_look_on(controller_.get(), real_of(NONE), real_of(held));
+        engine::look_on(controller_.get(), NO_ANGLES, held);
     }
     if (samples >= GAP || !same(held, sent_)) {
-        hystmpc_look_on(controller_.get(), real_of(measured_deg()), real_of(held));
+        engine::look_on(controller_.get(), measured_deg(), held);
         sent_ = held;
         return return_type::OK;
     }
-    write(hystmpc_step(controller_.get(), real_of(measured_deg()), nullptr).u);
+    write(engine::step(controller_.get(), measured_deg()));
     return return_type::OK;
 }
 
@@ -223,36 +328,56 @@ CallbackReturn HystmpcController::refused(const std::string & why) const {
     return CallbackReturn::ERROR;
 }
 
-// The measured angle [deg]; not-a-number beyond what the sensor can say.
-double HystmpcController::measured_deg() const {
-    const double angle = value_of(state_interfaces_[0], 0);
-    return angle < least_angle_ || angle > greatest_angle_ ? NONE : to_deg_ * angle;
+// The measured angles [deg]; not-a-number beyond what the sensor can say.
+Angles HystmpcController::measured_deg() const {
+    Angles angles;
+    for (std::size_t i = 0; i < AXES; i++) {
+        const double angle = value_of(state_interfaces_[i], 0);
+        angles[i] = angle < least_angle_ || angle > greatest_angle_ ? NONE : to_deg_ * angle;
+    }
+    return angles;
 }
 
-// What stands at the command interface [mm or bar], where the drive says what it holds; not-a-number where that is none.
+// What stands at the command interfaces [mm or bar], where a drive says what it holds; not-a-number where that is none.
 // It is on a limit where only the conversion of units took it beyond.
-double HystmpcController::told_command() const {
-    const double read = value_of(command_interfaces_[0], 0) / command_scale_;
-    if (std::isnan(read)) return NONE;
-    const double inside = std::clamp(read, HYSTMPC_LOWEST + 0.0, HYSTMPC_HIGHEST + 0.0);
-    return same(read, inside) ? inside : read;
+Commands HystmpcController::told_command() const {
+    Commands told;
+    for (std::size_t k = 0; k < COMMANDS; k++) {
+        const double read = value_of(command_interfaces_[k], 0) / command_scale_;
+        const double inside = std::clamp(read, LOWEST[k], HIGHEST[k]);
+        told[k] = std::abs(read - inside) <= SAME_COMMAND * (HIGHEST[k] - LOWEST[k]) ? inside : read;
+    }
+    return told;
 }
 
 // The same, or what is known from the activation on where nothing has been written yet.
-double HystmpcController::held_command() const {
-    const double told = told_command();
-    return std::isnan(told) && std::isnan(waited_) ? sent_ : told;
+Commands HystmpcController::held_command() const {
+    Commands held = told_command();
+    for (std::size_t k = 0; k < COMMANDS; k++) {
+        if (std::isnan(held[k]) && std::isnan(waited_)) held[k] = sent_[k];
+    }
+    return held;
 }
 
-bool HystmpcController::same(double one, double other) {
-    return std::abs(one - other) <= SAME_COMMAND * (HYSTMPC_HIGHEST - HYSTMPC_LOWEST);
+bool HystmpcController::same(const Commands & one, const Commands & other) {
+    for (std::size_t k = 0; k < COMMANDS; k++) {
+        if (!(std::abs(one[k] - other[k]) <= SAME_COMMAND * (HIGHEST[k] - LOWEST[k]))) return false;
+    }
+    return true;
 }
 
-bool HystmpcController::admissible(double command) { return HYSTMPC_LOWEST <= command && command <= HYSTMPC_HIGHEST; }
+bool HystmpcController::admissible(const Commands & commands) {
+    for (std::size_t k = 0; k < COMMANDS; k++) {
+        if (!(LOWEST[k] <= commands[k] && commands[k] <= HIGHEST[k])) return false;
+    }
+    return true;
+}
 
-void HystmpcController::write(double command) {
-    static_cast<void>(command_interfaces_[0].set_value(command_scale_ * command));
-    sent_ = command;
+void HystmpcController::write(const Commands & commands) {
+    for (std::size_t k = 0; k < COMMANDS; k++) {
+        static_cast<void>(command_interfaces_[k].set_value(command_scale_ * commands[k]));
+    }
+    sent_ = commands;
 }
 
 }  // namespace hystmpc_control

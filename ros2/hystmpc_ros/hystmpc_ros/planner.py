@@ -24,7 +24,8 @@ class Planner:
     latched until `reset`, which waits for contact again.
 
     Args:
-        settings: of the bench; `safe_command` and limits are those of the controller.
+        settings: of the bench, of two axes where the controller has two; `safe_command` and limits are those of the
+            controller.
     """
 
     def __init__(self, settings: BenchSettings, steering: Steering, transport: Transport, clock: Clock) -> None:
@@ -96,7 +97,8 @@ class Planner:
                     continue
                 safe = self._steering.safe_command
                 parts = self._settings, self._transport, self._clock, contact, self._flag, self
-                loop = control_loop(*parts, safe=safe, stays=lambda: not self._leaves, closed_loop=True)
+                frame = self._steering.frame
+                loop = control_loop(*parts, safe=safe, stays=lambda: not self._leaves, closed_loop=True, frame=frame)
                 loop.begin([self._steering])
             except HystmpcError as error:
                 self._wait()

@@ -11,20 +11,20 @@ from typing import Any, final
 import rclpy
 import rclpy.logging
 from builtin_interfaces.msg import Time
-from hystmpc_msgs.msg import TipState
-from hystmpc_msgs.srv import SetReference, SetTarget
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
+from hystmpc.rig.axes import each, in_words, is_known, together
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.experiment.experiment import Steering
+from hystmpc.rig.plane_config import PlaneBenchSettings
 from hystmpc.rig.realtime import Clock, MonotonicClock
-from hystmpc.rig.transports.topics import TopicSettings, TopicTransport, stamp
+from hystmpc.rig.transports.topics import TopicSettings, TopicTransport, numbers, stamp
 from hystmpc.rig.transports.transport import Conversion
 from hystmpc.trials.errors import ConfigError, HystmpcError
 
+from .faces import face, less, seen
 from .planner import Planner
 from .wire import RosWire
 
@@ -60,6 +60,8 @@ PARAMETERS: dict[str, Any] = {
     "brake_per_s2": math.nan,
     "stop_overshoot": math.nan,
 }
+OF_TWO_AXES: dict[str, Any] = {"lower_deg": -180.0, "start_command": [math.nan, math.nan]}
+"""Defaults of a controller of two axes, where they differ."""
 _BLOCKS = {
     "sensor": (
         ("lower_deg", "upper_deg", "rate_limit_deg_s", "age_limit_s", "dead_after_s")
@@ -80,19 +82,21 @@ def bench(given: Mapping[str, Any], steering: Steering) -> BenchSettings:
     Raises:
         ConfigError: if they make no sense.
     """
-    known = {name: None if value != value else value for name, value in given.items()}
+    known = {name: _known(value) for name, value in given.items()}
     blocks: dict[str, dict[str, Any]] = {
         block: {name: known[name] for name in names} for block, names in _BLOCKS.items()
     }
     blocks["transport"] |= {"kind": "dds", "qos": {name: known[name] for name in ("reliability", "depth")}}
-    limits, safe = steering.limits, steering.safe_command
-    return BenchSettings.parse(
+    limits, safe = each(steering.limits), steering.safe_command
+    lower, upper, rate = (together(getattr(one, end) for one in limits) for end in ("lower", "upper", "rate"))
+    kind = BenchSettings if steering.frame is None else PlaneBenchSettings
+    return kind.parse(
         {
             "name": "tip_planner",
             "rate_hz": 1.0 / steering.tip.dt,
             "command_unit": steering.unit,
-            "limits": {"lower": limits.lower, "upper": limits.upper, "rate_per_s": limits.rate},
-            "safe_command": limits.lower if math.isnan(safe) else safe,  # the planner knows that there is none
+            "limits": {"lower": lower, "upper": upper, "rate_per_s": rate},
+            "safe_command": safe if is_known(safe) else lower,  # the planner knows that there is none
             "start_command": known["start_command"],
             "stop_overshoot": known["stop_overshoot"],
             **blocks,
@@ -101,9 +105,16 @@ def bench(given: Mapping[str, Any], steering: Steering) -> BenchSettings:
     )
 
 
+def _known(value: Any) -> Any:
+    """A parameter; None where it is not a number, or of two axes none."""
+    if isinstance(value, str | bool | int | float):
+        return None if value != value else value
+    return None if any(one != one for one in value) else list(value)  # an array of ROS
+
+
 @final
 class TipPlanner(Node):
-    """Takes the samples of a run at the controller's sample time.
+    """Takes the samples of a run at the controller's sample time; of one axis, or of two where the model has two.
 
     Raises:
         HystmpcError: if a parameter or the controller's file cannot be used; one line.
@@ -112,21 +123,28 @@ class TipPlanner(Node):
     def __init__(self, clock: Clock | None = None) -> None:
         super().__init__("tip_planner")
         clock = clock or MonotonicClock()
-        given = {name: self.declare_parameter(name, value).value for name, value in PARAMETERS.items()}
-        if not given["config"]:
+        config = self.declare_parameter("config", PARAMETERS["config"]).value
+        if not config:
             raise ConfigError("got no parameter config, expected the file of a controller, such as tip.yaml")
-        steering = Steering(given["config"])
+        steering = Steering(config)
+        axes = len(each(steering.limits))
+        defaults = PARAMETERS if axes == 1 else PARAMETERS | OF_TWO_AXES
+        given = {
+            name: config if name == "config" else self.declare_parameter(name, value).value
+            for name, value in defaults.items()
+        }
         settings = bench(given, steering)
         assert isinstance(settings.transport, TopicSettings)
-        wire = RosWire(self, settings.transport, clock.now_ns)
-        transport = TopicTransport(wire, Conversion(1.0, 0.0, 1.0), clock.now_ns)
+        wire = RosWire(self, settings.transport, clock.now_ns, axes)
+        conversion = Conversion(together([1.0] * axes), together([0.0] * axes), 1.0)
+        transport = TopicTransport(wire, conversion, clock.now_ns)
         self.planner = Planner(settings, steering, transport, clock)
-        tip = steering.tip
+        tip, self._face = steering.tip, face(axes)
         self._said = ""
-        self._states = self.create_publisher(TipState, "~/state", 10)
-        self.create_subscription(Float64, "~/target", self._target, 10)
-        self.create_service(SetTarget, "~/set_target", self._set_target)
-        self.create_service(SetReference, "~/set_reference", self._set_reference)
+        self._states = self.create_publisher(self._face.state, "~/state", 10)
+        self.create_subscription(self._face.target, "~/target", self._target, 10)
+        self.create_service(self._face.set_target, "~/set_target", self._set_target)
+        self.create_service(self._face.set_reference, "~/set_reference", self._set_reference)
         self.create_service(Trigger, "~/stop", self._stop)
         self.create_service(Trigger, "~/reset", self._reset)
         self._timer = self.create_timer(tip.dt, self.sample)
@@ -147,44 +165,46 @@ class TipPlanner(Node):
             rclpy.spin_once(self, timeout_sec=self.planner.tip.dt)
         self.planner.close()
 
-    def _state(self) -> TipState:
-        state, sample, message = self.planner.tip.state(), self.planner.newest, TipState()
+    def _state(self) -> Any:
+        state, sample, message = self.planner.tip.state(), self.planner.newest, self._face.state()
         sec, nanosec = stamp(time.time_ns())
         message.header.stamp = Time(sec=sec, nanosec=nanosec)
-        message.measured_deg, message.reference_deg = state.measured_deg, state.reference_deg
-        message.command, message.source = state.command, str(state.source)
+        measured, command, source = state.measured_deg, state.command, state.source
         if sample is not None:  # what has left, which on the way to the safe command is not the controller's
-            message.command, message.source = sample.command, sample.source
-            if math.isfinite(sample.measured_deg):
-                message.measured_deg = sample.measured_deg
-        message.error_deg = message.reference_deg - message.measured_deg
-        message.departure_deg, message.status = state.disturbance_deg, self.planner.status
+            command, source, measured = sample.command, sample.source, seen(sample.measured_deg, measured)
+        number = self._face.numbers
+        message.measured_deg, message.reference_deg = number(measured), number(state.reference_deg)
+        message.error_deg = number(less(state.reference_deg, measured))
+        message.command, message.source = number(command), str(source)
+        message.departure_deg, message.status = number(state.disturbance_deg), self.planner.status
         message.settled, message.stopped = state.settled, state.stopped
         return message
 
-    def _target(self, message: Float64) -> None:
+    def _target(self, message: Any) -> None:
+        target = numbers(message.data)
         try:
-            self.planner.tip.set_target(message.data)
+            self.planner.tip.set_target(target)
         except HystmpcError as error:
-            self.get_logger().warning(f"target {message.data}: {error}")
+            self.get_logger().warning(f"target {in_words(target)}: {error}")
 
-    def _set_target(self, request: SetTarget.Request, response: SetTarget.Response) -> SetTarget.Response:
+    def _set_target(self, request: Any, response: Any) -> Any:
         try:
-            reach = self.planner.tip.set_target(request.angle_deg)
+            reach = self.planner.tip.set_target(numbers(request.angle_deg))
         except HystmpcError as error:
             response.success, response.message = False, str(error)
             return response
-        response.success, response.message, response.reachable = True, reach.reason, reach.reachable
-        response.low_deg, response.high_deg = reach.low_deg, reach.high_deg
+        response.success, response.message, response.reachable = True, reach.reason, bool(reach)
+        self._face.answer(response, reach)
         return response
 
-    def _set_reference(self, request: SetReference.Request, response: SetReference.Response) -> SetReference.Response:
+    def _set_reference(self, request: Any, response: Any) -> Any:
         try:
-            self.planner.tip.set_reference(list(request.angles_deg))
+            wanted = self._face.reference(request)
+            self.planner.tip.set_reference(wanted)
         except HystmpcError as error:
             response.success, response.message = False, str(error)
             return response
-        response.success, response.message = True, f"{len(request.angles_deg)} samples"
+        response.success, response.message = True, f"{len(wanted)} samples"
         return response
 
     def _stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -1,9 +1,12 @@
 // What a controller manager does, one call each, for ctypes; and a count of the memory that is taken meanwhile.
 #include <cstdlib>
+#include <iterator>
 #include <limits>
 #include <memory>
 #include <new>
+#include <sstream>
 #include <string>
+#include <vector>
 
 #include "controller_interface/chainable_controller_interface.hpp"
 
@@ -26,7 +29,7 @@ namespace {
 
 struct Manager {
     std::unique_ptr<Controller> controller = plugin_made();
-    double command = std::numeric_limits<double>::quiet_NaN(), angle = command;
+    std::vector<double> commands = std::vector<double>(6, std::numeric_limits<double>::quiet_NaN()), angles = commands;
     std::vector<hardware_interface::CommandInterface> references;
     std::string names;
 };
@@ -50,6 +53,15 @@ void set_text(Manager * m, const char * name, const char * value) {
     m->controller->get_node()->parameters.at(name) = std::string(value);
 }
 void set_number(Manager * m, const char * name, double value) { m->controller->get_node()->parameters.at(name) = value; }
+// Parameters that are lists: names apart by spaces, and so many numbers.
+void set_texts(Manager * m, const char * name, const char * values) {
+    std::istringstream words(values);
+    m->controller->get_node()->parameters.at(name) =
+        std::vector<std::string>{std::istream_iterator<std::string>(words), {}};
+}
+void set_numbers(Manager * m, const char * name, const double * values, int count) {
+    m->controller->get_node()->parameters.at(name) = std::vector<double>(values, values + count);
+}
 void set_flag(Manager * m, const char * name, int value) { m->controller->get_node()->parameters.at(name) = value != 0; }
 const char * said(Manager * m) { return m->controller->get_node()->said.c_str(); }
 
@@ -58,17 +70,17 @@ int configure(Manager * m) {
     if (answer == 0) m->references = m->controller->export_reference_interfaces();
     return answer;
 }
-// Claims what the controller asks for; every name has the same two values behind it.
+// Claims what the controller asks for: each name has its value in the order of the names.
 int activate(Manager * m) {
     std::vector<hardware_interface::LoanedCommandInterface> commands;
     std::vector<hardware_interface::LoanedStateInterface> states;
     m->names.clear();
     for (const auto & name : m->controller->command_interface_configuration().names) {
-        commands.emplace_back(prefix(name), last(name), &m->command);
+        commands.emplace_back(prefix(name), last(name), &m->commands.at(commands.size()));
         m->names += name + " ";
     }
     for (const auto & name : m->controller->state_interface_configuration().names) {
-        states.emplace_back(prefix(name), last(name), &m->angle);
+        states.emplace_back(prefix(name), last(name), &m->angles.at(states.size()));
         m->names += name + " ";
     }
     for (const auto & reference : m->references) m->names += reference.get_name() + " ";
@@ -85,11 +97,15 @@ int deactivate(Manager * m) {
 int cleanup(Manager * m) { return code(m->controller->on_cleanup({})); }
 const char * names(Manager * m) { return m->names.c_str(); }
 
-void hold(Manager * m, double command) { m->command = command; }
-double held(Manager * m) { return m->command; }
-void measure(Manager * m, double angle) { m->angle = angle; }
+void hold_at(Manager * m, int k, double command) { m->commands.at(k) = command; }
+double held_at(Manager * m, int k) { return m->commands.at(k); }
+void measure_at(Manager * m, int i, double angle) { m->angles.at(i) = angle; }
+void refer_at(Manager * m, int i, double angle) { static_cast<void>(m->references.at(i).set_value(angle)); }
+void hold(Manager * m, double command) { hold_at(m, 0, command); }
+double held(Manager * m) { return held_at(m, 0); }
+void measure(Manager * m, double angle) { measure_at(m, 0, angle); }
 int chain(Manager * m, int chained) { return m->controller->set_chained_mode(chained != 0); }
-void refer(Manager * m, double angle) { static_cast<void>(m->references.at(0).set_value(angle)); }
+void refer(Manager * m, double angle) { refer_at(m, 0, angle); }
 
 // One period; how often memory was taken in it, or -1 where the update failed.
 long update_after(Manager * m, double period_s) {
@@ -104,6 +120,14 @@ int target(Manager * m, double angle) {
     if (!subscription) return 0;
     std_msgs::msg::Float64 message;
     message.data = angle;
+    subscription->callback(message);
+    return 1;
+}
+int targets(Manager * m, const double * angles, int count) {
+    const auto subscription = m->controller->get_node()->targets.lock();
+    if (!subscription) return 0;
+    std_msgs::msg::Float64MultiArray message;
+    message.data.assign(angles, angles + count);
     subscription->callback(message);
     return 1;
 }

@@ -3,16 +3,19 @@
 #include <memory>
 #include <stdexcept>
 #include <string>
+#include <type_traits>
 #include <variant>
+#include <vector>
 
 #include "rclcpp/rclcpp.hpp"
 #include "rclcpp_lifecycle/state.hpp"
 #include "std_msgs/msg/float64.hpp"
+#include "std_msgs/msg/float64_multi_array.hpp"
 #include "std_srvs/srv/trigger.hpp"
 
 namespace rclcpp_lifecycle {
 
-using Value = std::variant<std::string, double, bool>;
+using Value = std::variant<std::string, double, bool, std::vector<std::string>, std::vector<double>>;
 
 // A parameter refuses to be read as another type, as that of rclcpp does.
 struct Parameter {
@@ -20,6 +23,8 @@ struct Parameter {
     std::string as_string() const { return std::get<std::string>(value); }
     double as_double() const { return std::get<double>(value); }
     bool as_bool() const { return std::get<bool>(value); }
+    std::vector<std::string> as_string_array() const { return std::get<std::vector<std::string>>(value); }
+    std::vector<double> as_double_array() const { return std::get<std::vector<double>>(value); }
     template <typename T>
     T get_value() const {
         return std::get<T>(value);
@@ -46,7 +51,11 @@ public:
         const std::string & topic, const rclcpp::SystemDefaultsQoS &, Callback && callback) {
         auto made = std::make_shared<rclcpp::Subscription<Message>>();
         made->callback = callback;
-        if (topic == "~/target") target = made;
+        if constexpr (std::is_same_v<Message, std_msgs::msg::Float64>) {
+            if (topic == "~/target") target = made;
+        } else if (topic == "~/target") {
+            targets = made;
+        }
         return made;
     }
     template <typename Type, typename Callback>
@@ -59,6 +68,7 @@ public:
 
     std::map<std::string, Value> parameters;
     std::weak_ptr<rclcpp::Subscription<std_msgs::msg::Float64>> target;
+    std::weak_ptr<rclcpp::Subscription<std_msgs::msg::Float64MultiArray>> targets;
     std::weak_ptr<rclcpp::Service<std_srvs::srv::Trigger>> stop;
     mutable std::string said;
 
