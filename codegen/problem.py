@@ -126,6 +126,8 @@ def _of_two_axes(source: Path | str | Mapping[str, Any], folder: Path | None) ->
     settings, home = read_two_axis_settings(source)
     _check(settings.controller.resolved())
     model = load_two_axes(model_path(settings.model, home if folder is None else folder))
+    if model.inputs:
+        raise ExportError(f"export-c: got two axes that depend on {model.inputs[0].name}, expected no measured input")
     controller = TwoAxisController(within_limits(model, settings.limits), settings.controller)
     problem = controller.problem
     axes = problem.fields["first"], problem.fields["second"]

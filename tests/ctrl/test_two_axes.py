@@ -262,6 +262,21 @@ def test_a_controller_that_is_given_an_input_plans_with_the_device_there(given_:
         one.with_inputs(first, {"baar": 1.0})
 
 
+@pytest.mark.parametrize("cross", [None, SHARED, COUPLED])
+def test_the_state_shows_the_angles_as_measured(cross: CrossFriction | None) -> None:
+    """With the friction that both axes share, which each axis does not see: else a target would never be settled."""
+    model = two_axes(((1.0, 0.3), (-0.2, 1.0)), ((1.0, 0.1), (0.2, 1.0)), cross)
+    tip, device = TwoAxisTipController(model, TwoAxisTipSettings(model="-")), Device(model)
+    angles = np.zeros(2)
+    tip.step(angles)
+    tip.set_target((12.0, -8.0))
+    for _ in range(150):
+        command = tip.step(angles)
+        np.testing.assert_allclose(tip.state().measured_deg, angles, atol=1e-9)
+        angles = device.advance(command.u)
+    assert tip.state().settled
+
+
 def test_inputs_of_a_tip_are_held_and_said() -> None:
     axis = two_axes().axes[0]
     core = Scheduled.of(axis.chain.core, (Dependence(MeasuredInput("bar", 2.0, 1.0, 4.0), "gain"),), (-0.1,))
