@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -172,10 +172,14 @@ def with_inputs(
     missing = [f"{one.name} {one.reference:.4g}" for one in known if one.name not in values]
     if missing and not memory.unmeasured and memory.control is not None:
         notes.append(f"inputs: none given of {', '.join(missing)}, the identified value counts")
-        memory = replace(memory, unmeasured=True)
+        memory = _changed(memory, unmeasured=True)
     if memory.control is not None and values:
-        memory = replace(memory, control=controller.with_inputs(memory.control, values))
-    return replace(memory, inputs=values), "; ".join(notes)
+        memory = _changed(memory, control=controller.with_inputs(memory.control, values))
+    return _changed(memory, inputs=values), "; ".join(notes)
+
+
+def _changed(memory: AnyMemory, **changes: object) -> AnyMemory:
+    return cast(AnyMemory, replace(cast(Any, memory), **changes))  # a data class, which no protocol can say
 
 
 class HasStatus(Protocol):
@@ -192,7 +196,8 @@ def also_said(command: AnyCommand, said: str) -> AnyCommand:
     """Command whose status also has a text; unchanged for an empty one."""
     if not said:
         return command
-    return replace(command, status=said if command.status == "ok" else f"{command.status}; {said}")
+    status = said if command.status == "ok" else f"{command.status}; {said}"
+    return cast(AnyCommand, replace(cast(Any, command), status=status))
 
 
 def set_request(memory: Snapshot, request: ReferenceRequest, dt: float, start: Kinematics) -> Snapshot:

@@ -347,7 +347,7 @@ class TwoAxisController(HoldsAddresses):
     def measured_deg(self, state: TwoAxisState) -> Vec:
         """Last accepted measurement (2,) [deg], in the sample of which the axes share the friction of that time."""
         y = np.array([axis.known.measured for axis in state.axes])
-        if self.model.cross_friction is not None:  # an axis sees its angle without it: the head of a memory, core/axes.h
+        if self.model.cross_friction is not None:  # axes see their angles without it; the head of a memory, core/axes.h
             n, late = len(self.limits), 1 + int(self._axes[0].problem.fields["sensing"].fields.get("delay", 0))
             past = state.memory[: 8 * (n + AXES * _PAST)].view(np.float64)[n:].reshape(_PAST, AXES)
             y = y + past[min(late, _PAST - 1)]

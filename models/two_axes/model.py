@@ -208,8 +208,7 @@ class TwoAxisModel:
         made: dict[str, MeasuredInput] = {}
         for one in (given for axis in self.axes for given in axis.chain.inputs):
             known = made.setdefault(one.name, one)
-            ends = {"lower": min(known.lower, one.lower), "upper": max(known.upper, one.upper)}
-            made[one.name] = replace(known, **ends)
+            made[one.name] = replace(known, lower=min(known.lower, one.lower), upper=max(known.upper, one.upper))
         return tuple(made.values())
 
     @property

@@ -117,9 +117,8 @@ class Recorded(Phase):
         t, u, y = (np.array(values) for values in (self.times, self.sent, self.angles_deg))
         done = np.isfinite(t)
         angles = [repr(angle) if math.isfinite(angle) else "" for angle in y[done].tolist()]
-        columns = {CANONICAL.time: self._dt * t[done], f"command_{unit}": u[done], CANONICAL.angle: angles}
-        columns |= self._seen_inputs(done)
-        return write_atomically(file, format_table(columns))
+        signals = {CANONICAL.time: self._dt * t[done], f"command_{unit}": u[done], CANONICAL.angle: angles}
+        return write_atomically(file, format_table({**signals, **self._seen_inputs(done)}))
 
     def trial(self, unit: str) -> Trial | None:
         """Trial of the samples with an angle; None with fewer than two."""
