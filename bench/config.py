@@ -51,23 +51,13 @@ class PlaneCommissionBlock(CommissionBlock):
         angle_limits_deg: of both angles [deg]; the sensor's range less 5 % at either end where left out.
         range_steps: steps of the first climb of each axis, each with a rest.
         motions: references in the plane of both angles; drawn within the reached angles where left out.
-        diagnose: false: two axes are diagnosed with `hystmpc diagnose`.
+        diagnose: whether what joins the axes, and the residual of each, are diagnosed; takes minutes of computing time.
         tune_evaluations: as of one axis.
         seed: of everything random.
     """
 
     minutes: Annotated[float, Field(gt=0, le=MOST_PLANE_MINUTES)] = MOST_PLANE_MINUTES
     motions: Mapping[FolderName, MotionInPlane] | None = Field(default=None, min_length=1)  # type: ignore[assignment]  # pyright: ignore[reportIncompatibleVariableOverride]  # settings are frozen
-    diagnose: bool = False
-
-    @model_validator(mode="after")
-    def _without_diagnosis(self) -> PlaneCommissionBlock:
-        if self.diagnose:
-            raise ValueError(
-                "got commission.diagnose true, expected false for two axes: afterwards use `hystmpc diagnose "
-                "OUT/2-record/trials --sim OUT/4-fit/model.yaml`"
-            )
-        return self
 
 
 class InvestigateBlock(Settings):

@@ -20,8 +20,8 @@ from .device import Open
 from .identify import MODEL_FILE, FittedModel, check_trials, fit_model, subject_of
 from .motions import LEAST_SHARE, prepare_seconds, recordings, recordings_seconds
 from .round_plan import RoundPlan, RoundPlanner, first_seconds, planned_commands
-from .rounds import DIAGNOSIS, FIRST, Investigated, RecordedRound, Round, RoundVerdict, judge_round, round_folder
-from .stages import Stages, begun, fingerprint
+from .rounds import FIRST, Investigated, RecordedRound, Round, RoundVerdict, judge_round, round_folder
+from .stages import DIAGNOSIS, Stages, begun, fingerprint
 
 RESULT_FILE, REPORT_FILE = "investigation.json", "report.html"
 IDENTIFY = "identify"

@@ -45,7 +45,8 @@ from .device import Track
 from .identify import TIP_FILE, IdentifiedDevice, Subject, uniform_trials
 from .motions import CONTROLLERS, AnyReached, ReachedAngles
 from .round_plan import RoundPlan
-from .rounds import DIAGNOSIS, FIRST, Ending, Investigated, Round, round_folder
+from .rounds import FIRST, Ending, Investigated, Round, round_folder
+from .stages import DIAGNOSIS
 from .verify import MPC, PID, TITLES, Tracks, Verification
 
 _COLOURS = {MPC: MEASURED, "inverse": MODEL, PID: COMMAND}

@@ -19,12 +19,12 @@ from hystmpc.trials.types import Progress
 
 from .config import InvestigateSettings
 from .round_plan import RoundPlan, RoundPlanner, least_seconds
-from .stages import Figure
+from .stages import DIAGNOSIS, Figure
 
 Ending = Literal["", "named", "no_gap", "nothing_gained", "budget"]
 FORMAT = "hystmpc-investigation/1"
-FIRST, DIAGNOSIS = "first", "diagnosis"
-"""Folders of the first motions, and of a diagnosis in its stage."""
+FIRST = "first"
+"""Folder of the first motions."""
 
 _SURE = 2  # rounds in a row that name the same single effect
 _STUCK = 4  # rounds in a row with the same result, from which on no motion is designed

@@ -185,7 +185,7 @@ def _planned(settings: CommissionSettings, rows: Iterable[tuple[str, str, float]
         f"to {high:g} deg; every motion starts and ends at {in_words(settings.safe_command, 'g')} {unit}"
     )
     if len(limits) > 1:
-        text += "; not done for two axes: a diagnosis, see `hystmpc diagnose`; a watch on forces; drift over hours"
+        text += "; not done for two axes: a watch on forces; drift over hours"
     return DevicePlan(f"{settings.name} ({where}): minutes of device time", tuple(rows), text)
 
 
