@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from hystmpc.ctrl.command import CommandLimits
-from hystmpc.ctrl.config import AnyControllerSettings
 from hystmpc.ctrl.feedback import InversePidControllerSettings, PidControllerSettings
 from hystmpc.ctrl.two_axes.tip_controller import TwoAxisTipController, TwoAxisTipSettings
 from hystmpc.gap.report.words import closed_sentence, tracking_sentence
@@ -25,7 +24,7 @@ from hystmpc.models.two_axes.evaluate import evaluate_two_axes
 from hystmpc.models.two_axes.identify import TwoAxisFit, fit_two_axes
 from hystmpc.models.two_axes.model import AXES, TwoAxisModel, load_two_axes
 from hystmpc.rig.axes import NAMES, each
-from hystmpc.sim.tuning.gains import PidLike, PidTuning, searched_gains
+from hystmpc.sim.tuning.gains import PidLike, PidTuning, mean_square_of, searched_gains
 from hystmpc.sim.two_axes.config import TwoAxisSimulationConfig
 from hystmpc.sim.two_axes.study import TwoAxisStudy, prepare_two_axes
 from hystmpc.trajectories.excitation import LEFT_OUT
@@ -221,7 +220,7 @@ def make_plane_controllers(
     }
     tuned = dict[str, PidTuning]()
     for (name, start), part in zip(starts.items(), parts(progress, list(shares.values())), strict=True):
-        square = partial(_mean_square, _study(subject, model, models[name], reached, sigma_deg))
+        square = partial(mean_square_of, _study(subject, model, models[name], reached, sigma_deg))
         tuned[name] = searched_gains(start, square, shares[name], subject.block.seed, part)
     step = sensor_step_deg(known)
     gains = {name: one.settings.gains.with_dead_zone(step).model_dump() for name, one in tuned.items()}
@@ -242,12 +241,6 @@ def sensor_step_deg(model: TwoAxisModel) -> float:
     """Greater resolution of both angles according to the model [deg]; 0 for a continuous sensor."""
     noises = (axis.identification.noise for axis in model.axes)
     return max(0.0 if noise is None else noise.sensor_resolution_deg for noise in noises)
-
-
-def _mean_square(study: TwoAxisStudy, settings: AnyControllerSettings) -> float:
-    """Mean over motions of the mean square distance of both angles from the reference [deg^2]."""
-    runs = [study.run(settings, motion) for motion in study.motions]
-    return float(np.mean([AXES * np.mean(run.counted_deg**2) for run in runs]))
 
 
 def _study(subject: Subject, device: Path, model: Path, reached: ReachedPlane, sigma_deg: float) -> TwoAxisStudy:
