@@ -143,7 +143,16 @@ class InvestigateSettings(CommissionSettings):
         return 60.0 * self.investigate.minutes
 
 
+class PlaneInvestigateSettings(PlaneCommissionSettings, InvestigateSettings):  # pyright: ignore[reportIncompatibleVariableOverride]
+    """Settings in a bench file of two axes with the block `investigate`; of `commission` the angle limits count.
+
+    Attributes:
+        investigate: what is judged, and how long the device may be moved.
+    """
+
+
 C = TypeVar("C", bound=CommissionSettings)
+J = TypeVar("J", bound=InvestigateSettings)
 
 
 def located_commission(settings: C, folder: Path) -> C:
@@ -156,8 +165,8 @@ def located_commission(settings: C, folder: Path) -> C:
 
 
 def located_investigation(
-    settings: InvestigateSettings, folder: Path, model: Path | str | None = None, minutes: float | None = None
-) -> InvestigateSettings:
+    settings: J, folder: Path, model: Path | str | None = None, minutes: float | None = None
+) -> J:
     """Settings with absolute file names; relative ones start at `folder`, those of `model` at the present folder.
 
     `model` and `minutes` replace the file's.

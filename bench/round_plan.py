@@ -69,6 +69,24 @@ class RoundPlan:
     looked_at: int = 0  # number of motions compared
 
 
+@dataclass(frozen=True)
+class PlanePlan:
+    """Plan of a round of two axes: the motions of each axis that is open, and those of both.
+
+    Attributes:
+        x, y: plans of the axes; None where nothing of an axis is open.
+        both: names of the motions of both axes.
+        motions: names of all recordings, in their order.
+        seconds: greatest device time, approach and return included [s].
+    """
+
+    x: RoundPlan | None
+    y: RoundPlan | None
+    both: tuple[str, ...]
+    motions: tuple[str, ...]
+    seconds: float
+
+
 def least_seconds(bench: BenchSettings) -> float:
     """Device time of the shortest round [s]."""
     return prepare_seconds(bench) + run_seconds(bench, math.ceil(LEAST_MOTION_S / bench.dt_s))

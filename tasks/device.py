@@ -225,11 +225,14 @@ def _plain(config: Settings) -> object:
 def _investigation(
     config: Settings, overrides: Iterable[str], model: Path | str | None, minutes: float | None
 ) -> InvestigateSettings:
-    from hystmpc.bench.config import CommissionSettings, InvestigateSettings, kind_of_commission, located_investigation
+    from hystmpc.bench.config import (
+        InvestigateSettings,
+        PlaneCommissionSettings,
+        PlaneInvestigateSettings,
+        kind_of_commission,
+        located_investigation,
+    )
 
-    if kind_of_commission(_plain(config), _folder_of(config)) is not CommissionSettings:
-        raise ConfigError(
-            "investigate: got a bench of two axes, expected one axis; use `hystmpc record` and `hystmpc diagnose`"
-        )
-    settings = settings_of(InvestigateSettings, config, overrides)
+    two = kind_of_commission(_plain(config), _folder_of(config)) is PlaneCommissionSettings
+    settings = settings_of(PlaneInvestigateSettings if two else InvestigateSettings, config, overrides)
     return located_investigation(settings, _folder_of(config), model, minutes)

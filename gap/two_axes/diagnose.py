@@ -63,6 +63,7 @@ def diagnose_two_axes(
     only: Sequence[str] | None = None,
     ordered: bool = True,
     skip_first_flexure: bool = False,
+    of_joins: Sequence[Trial] | None = None,
     progress: Progress | None = None,
     say: Callable[[str], None] | None = None,
 ) -> TwoAxisResult:
@@ -76,6 +77,8 @@ def diagnose_two_axes(
         trials: of commands (T, 2) and angles (T, 2), at the sample time of the simulator.
         out: folder for `diagnosis.json`, report and corrected simulator, and the folders `x` and `y` of the axes.
         without, only: effects of the library, and those between the axes.
+        of_joins: trials that tell what joins the axes, as much of one axis as of the other; all where left out. What is
+            wrong in one axis may be taken for a join otherwise.
         called, model, seed, ordered, skip_first_flexure, progress, say: see `diagnose_trials`.
 
     Raises:
@@ -93,7 +96,7 @@ def diagnose_two_axes(
         require_free(out, (TWO_AXIS_FORMAT,))
     first, *each = parts(progress, _TIMES)
     first(0, 1, "what joins both axes")
-    data = JoinTrials.of(simulator, trials, ordered)
+    data = JoinTrials.of(simulator, trials if of_joins is None else of_joins, ordered)
     offered = [name for name in FREE if name not in without and (only is None or name in only)]
     joins, joined = one_blas_thread(find_joins)(data, seed, offered)
     x, y = (

@@ -229,7 +229,6 @@ def test_recordings_keep_to_a_range_that_is_narrower_than_the_limits(tmp_path: P
             ["commission", "--set", "safe_command=0"],
             "safe_command: expected a list [x, y], a number",
         ),
-        (["investigate"], "investigate: got a bench of two axes, expected one axis"),
     ],
 )
 def test_what_is_refused_is_one_line(
