@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -167,8 +167,9 @@ def _round(
     files = [round_folder(stages.root, k) / "record" / "trials" / f"{motion}.csv" for k, motion in played]
 
     def diagnose(folder: Path) -> Any:
-        left_s, verdicts = settings.budget_s - recorded.device_s, [earlier.judged for earlier in before]
-        judge: Callable[..., RoundVerdict | PlaneVerdict] = judge_plane if of_plane(settings) else judge_round
+        left_s = settings.budget_s - recorded.device_s
+        verdicts: list[Any] = [earlier.judged for earlier in before]
+        judge = judge_plane if of_plane(settings) else judge_round
         return judge(settings, model, files, verdicts, left_s, folder, stages.computing(f"{name}: diagnose"))
 
     kind: type[RoundVerdict | PlaneVerdict] = PlaneVerdict if of_plane(settings) else RoundVerdict

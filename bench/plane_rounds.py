@@ -36,6 +36,7 @@ from hystmpc.trials.errors import FitError, ModelError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.read import at_rate, read_trials
 from hystmpc.trials.recording import SEPARATION_COLUMN, recorded_trials
+from hystmpc.trials.trial import parts_at_gaps
 from hystmpc.trials.types import Progress, Vec
 
 from .config import CommissionBlock, InvestigateSettings
@@ -183,7 +184,7 @@ class PlanePlanner:
                     f"investigate: by the simulator {name} leaves the angle limits {low:g} to {high:g} deg, expected "
                     "limits of the commands that keep both angles within"
                 )
-        t, unit = np.asarray(self.settings.dt_s * np.arange(len(smaller))), self.settings.command_unit
+        t, unit = self.settings.dt_s * np.arange(len(smaller), dtype=np.float64), self.settings.command_unit
         columns = trial_columns(t, smaller, expected, unit)
         write_atomically(self.folder / f"{name}.csv", format_table({**columns, SEPARATION_COLUMN: separation_deg}))
         return planned_commands_of_both(self.folder, name)
@@ -222,8 +223,11 @@ def judge_plane(
         KeyboardInterrupt: if the user ended it; nothing of this stage is kept.
     """
     known, kinds = load_two_axes(model), [file.stem.partition("-")[2] for file in files]
-    trials = both_axes(at_rate(recorded_trials(files, most_axes=AXES), 1 / known.dt_s)) or []
-    first = [file.parents[2] == files[0].parents[2] for file in files]
+    recorded = recorded_trials(files, most_axes=AXES)
+    trials = both_axes(at_rate(recorded, 1 / known.dt_s)) or []
+    # Later motions are of the axis alone that is open: they would tell more of one axis than of the other.
+    tells = [f.parents[2] == files[0].parents[2] or kind in KINDS_OF_BOTH for f, kind in zip(files, kinds, strict=True)]
+    of_parts = np.repeat(tells, [len(parts_at_gaps(trial)) for trial in recorded])
     done = diagnose_two_axes(
         trials,
         known,
@@ -231,8 +235,7 @@ def judge_plane(
         called={"sim": str(model)},
         model=model,
         seed=settings.investigate.seed,
-        # Later motions are of the axis alone that is open: they would tell more of one axis than of the other.
-        of_joins=[t for t, kind, of_both in zip(trials, kinds, first, strict=True) if of_both or kind in KINDS_OF_BOTH],
+        of_joins=[trial for trial, tell in zip(trials, of_parts, strict=True) if tell],
         progress=progress,
     )
     planner, number = PlanePlanner(settings, known, left_s, folder), len(files) + 1

@@ -341,9 +341,10 @@ def _plane_figure(made: Investigated, one: Round, unit: str) -> Figure:
     """Figure of both commands and both angles of each motion of a round, a column each, with the simulator's run."""
     names, model = one.recorded.names, load_two_axes(made.model)
     folder = round_folder(made.folder, one.number) / "record" / "trials"
-    trials = both_axes(read_trials([folder / f"{name}.csv" for name in names])) or []
+    recorded = read_trials([folder / f"{name}.csv" for name in names], rate_hz=1 / model.dt_s)
+    trials = both_axes(recorded) or []
     with new_figure(9.0, 4.6) as figure:
-        grid = figure.subplots(2, len(names), sharex="col", sharey="row", squeeze=False)
+        grid = figure.subplots(2, len(trials), sharex="col", sharey="row", squeeze=False)
         for (command, angle), trial in zip(grid.T, trials, strict=True):
             t, run = trial.t - trial.t[0], evaluate_two_axes(model, trial)
             for k, (name, colour) in enumerate(zip(NAMES, (MEASURED, COMMAND), strict=True)):

@@ -22,6 +22,7 @@ from hystmpc.bench.plane_rounds import (
     joins_verdict,
     planned_commands_of_both,
 )
+from hystmpc.bench.report import write_investigation
 from hystmpc.bench.rounds import Investigated, JoinVerdict, PlaneVerdict
 from hystmpc.gap.next.motion_design import SearchSettings
 from hystmpc.gap.two_axes.diagnosis import JoinGap, KnownJoins
@@ -151,6 +152,11 @@ def test_a_turned_device_with_a_lag_in_y_is_named_and_an_interruption_changes_no
     count = len(sent)
     assert investigated(made, out, sent).as_json() == found.as_json()
     assert len(sent) == count  # complete: nothing moves again
+    late = next(iter(kept))  # a sample that a real clock has missed
+    rows = late.read_text(encoding="utf-8").splitlines(keepends=True)
+    late.write_text("".join(rows[:50] + rows[51:]), encoding="utf-8")
+    found.report.unlink()
+    assert write_investigation(found, made.name, made.command_unit).exists()
 
 
 HELD_OUT = {"as given": 1.0, "misalignment": 0.5}
