@@ -41,7 +41,7 @@ from hystmpc.trials.types import Progress, Vec
 
 from .config import CommissionBlock, InvestigateSettings
 from .motions import prepare_seconds, recordings_of_both, run_seconds, shake_seconds
-from .round_plan import LEAST_MOTION_S, PlanePlan, RoundPlan, RoundPlanner
+from .round_plan import LEAST_MOTION_S, PlanePlan, RoundPlan, RoundPlanner, first_longest_s
 from .rounds import Ending, JoinVerdict, PlaneVerdict, judged_next, round_verdict
 from .stages import DIAGNOSIS
 
@@ -138,6 +138,7 @@ class PlanePlanner:
             FitError: if no motion of an axis stays within the angle limits by the simulator.
         """
         block = self.settings.investigate
+        first_longest_s(self.settings, self.left_s)  # says what is too little of the whole
         both_s = self._seconds([self._of_both()[KINDS_OF_BOTH[0]]])
         shakes_s = (block.first_motions - 1) * shake_seconds(self.settings) / _FIRST_SHARE
         x, y = (self.axis(i, 0.5 * (self.left_s - both_s) - shakes_s).first() for i in range(AXES))

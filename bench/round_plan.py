@@ -92,13 +92,19 @@ def least_seconds(bench: BenchSettings) -> float:
     return prepare_seconds(bench) + run_seconds(bench, math.ceil(LEAST_MOTION_S / bench.dt_s))
 
 
+def first_count(settings: InvestigateSettings) -> int:
+    """Number of first motions: those of one axis; of two axes those of each, and one of both."""
+    count = settings.investigate.first_motions
+    return count if len(settings.axes_limits) == 1 else 2 * count + 1
+
+
 def first_longest_s(settings: InvestigateSettings, left_s: float) -> float:
     """Greatest duration of each first motion within the remaining device time [s].
 
     Raises:
         ConfigError: if the device time is too short for them.
     """
-    count = settings.investigate.first_motions
+    count = first_count(settings)
     longest = (_FIRST_SHARE * left_s - prepare_seconds(settings)) / count - run_seconds(settings, 0)
     longest = min(longest, settings.investigate.longest_motion_s)
     if longest < LEAST_MOTION_S:
@@ -111,7 +117,7 @@ def first_longest_s(settings: InvestigateSettings, left_s: float) -> float:
 
 def first_seconds(settings: InvestigateSettings, left_s: float) -> float:
     """Greatest device time of the first motions [s]."""
-    count, longest = settings.investigate.first_motions, first_longest_s(settings, left_s)
+    count, longest = first_count(settings), first_longest_s(settings, left_s)
     return prepare_seconds(settings) + count * run_seconds(settings, math.ceil(longest / settings.dt_s))
 
 

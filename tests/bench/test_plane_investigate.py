@@ -109,7 +109,9 @@ def test_the_plan_fills_the_minutes_and_moves_nothing(tmp_path: Path) -> None:
     assert sum(minutes for _, _, minutes in rows[:-1]) == pytest.approx(3.0)
     none = settings(tmp_path, investigate={"model": None, "minutes": 20.0})
     assert 0.3 < identification_share(none) <= 1.0
-    assert plan_rows(none)[0][0] == "identify"
+    rows = plan_rows(none)
+    assert [name for name, _, _ in rows[:2]] == ["identify", "round 1"]
+    assert rows[1][2] * 60.0 > 5 * 8.0  # two motions of each axis and one of both
 
 
 @pytest.mark.slow
