@@ -119,10 +119,10 @@ def investigate(
     """Find the causes of the gap between a simulator and its device by recording and diagnosing in turn.
 
     The device moves for the minutes given at most, in real time; one of `kind: simulated` is computed faster. The same
-    call goes on after the last complete part.
+    call goes on after the last complete part. Of two axes, what joins them is judged, and then each axis.
 
     Args:
-        config: a bench with the block `investigate`: a YAML file or a mapping.
+        config: a bench of one axis or of two with the block `investigate`: a YAML file or a mapping.
         out: a new or empty folder, or one in which the same investigation was begun.
         model: simulator to be judged (.yaml), in place of that of the file; without either one is identified first.
         minutes: device time, never exceeded.
