@@ -14,6 +14,7 @@ from hystmpc.ctrl.command import CommandLimits
 from hystmpc.rig.axes import NAMES as AXIS_NAMES
 from hystmpc.rig.axes import PerAxis, each, in_words, of_axis, together
 from hystmpc.rig.config import BenchSettings
+from hystmpc.sim.results import Limits
 from hystmpc.trials.axes import both_axes
 from hystmpc.trials.brief import brief
 from hystmpc.trials.errors import ConfigError, LogError
@@ -22,7 +23,7 @@ from hystmpc.trials.read import expand_logs, read_trials
 from hystmpc.trials.run_folder import RunFolder, alone_in
 from hystmpc.trials.types import Progress
 
-from .config import CommissionBlock, CommissionSettings, kind_of_commission, narrowed
+from .config import CommissionBlock, CommissionSettings, PlaneCommissionBlock, kind_of_commission, narrowed
 from .device import MovableDevice, Open, opened_device
 from .identify import (
     FIXED_FILE,
@@ -43,7 +44,7 @@ from .identify import (
 )
 from .motions import CONTROLLERS, CORNER_STEPS, SCANS_HZ, Budget, budget, corners, directions, recordings
 from .phases import Bounded, Climb, ClimbResult, Dash, moving_axes
-from .plane import fit_both, make_plane_controllers
+from .plane import diagnose_both, fit_both, make_plane_controllers
 from .stages import AxisFigures, Stages, begun, differing, fingerprint
 from .verify import MPC, Tracks, Verification, judge_tracks, load_tracks, track_all
 
@@ -219,7 +220,7 @@ def _on_device(settings: CommissionSettings, stages: Stages, planned: Budget) ->
     recorded = stages.complete(RECORD, RecordedTrials, record, device_s=planned.record_s + planned.prepare_s)
     trials = [stages.root / RECORD / "trials" / f"{name}.csv" for name in recorded.names]
     limits = bench.axes_limits
-    subject = subject_of(settings, limits[0] if len(limits) == 1 else limits, trials)
+    subject = subject_of(settings, _of_all(limits), trials)
     identified = _identified(subject, stages)
 
     def verify(folder: Path) -> Verification:
@@ -371,7 +372,8 @@ def _identified(subject: Subject, stages: Stages) -> IdentifiedDevice:
         return (fit_both if of_plane else fit_model)(subject, folder, stages.computing("identify"))
 
     def diagnose(folder: Path) -> ModelDiagnosis:
-        return diagnose_model(subject, stages.root / FIT / MODEL_FILE, folder, stages.computing("diagnose"))
+        judge = diagnose_both if of_plane else diagnose_model
+        return judge(subject, stages.root / FIT / MODEL_FILE, folder, stages.computing("diagnose"))
 
     def make(folder: Path) -> ControllerFiles:
         noise = fitted.sensor_sigma_deg if math.isfinite(fitted.sensor_sigma_deg) else 0.0
@@ -405,29 +407,45 @@ def _reported(
 
 def _from_logs(files: Sequence[Path], settings: CommissionSettings | None) -> tuple[Subject, str]:
     """Subject of an identification from logs, and the origin of its limits in words."""
-    trials = read_trials(files)
-    if both_axes(trials) is not None or (settings is not None and len(settings.axes_limits) > 1):
-        raise ConfigError(
-            "logs: got two axes, expected --logs and a bench of one axis; use `hystmpc fit auto LOGS --out model.yaml` "
-            "and write the file of a controller with the line `model: model.yaml`"
-        )
-    low = min(float(trial.command.min()) for trial in trials)
-    high = max(float(trial.command.max()) for trial in trials)
-    rates = [np.abs(np.diff(trial.command)) / np.diff(trial.t) for trial in trials]
-    unit = trials[0].units.command
+    several = 1 if settings is None else len(settings.axes_limits)
+    read = read_trials(files)
+    trials = both_axes(read) or read
+    axes, unit = trials[0].commands.shape[1], trials[0].units.command
+    if settings is not None and axes != several:
+        got, bench = ("one axis" if n == 1 else "two axes" for n in (axes, several))
+        raise ConfigError(f"logs: got {got}, expected {bench} as in the bench file; take the bench of this device")
+    low = np.min([trial.commands.min(axis=0) for trial in trials], axis=0)
+    high = np.max([trial.commands.max(axis=0) for trial in trials], axis=0)
+    rates = [np.abs(np.diff(trial.commands, axis=0)) / np.diff(trial.t)[:, None] for trial in trials]
     if settings is None:
-        rate = max(float(steps.max()) for steps in rates)
-        if not (low < high and rate > 0):
-            raise LogError("logs: the command does not move, expected recordings of a motion")
-        words = f"as the recordings show: {low:.4g} to {high:.4g} {unit} at {rate:.4g} per s"
-        hz = float(f"{1 / trials[0].dt:.4g}")
-        limits = CommandLimits(low, high, rate)
-        return Subject("recorded device", unit, hz, limits, low, None, tuple(files), CommissionBlock()), words
-    bounds, safe = settings.limits, settings.safe_command
+        rate = np.max([steps.max(axis=0) for steps in rates], axis=0)
+        if not np.all(moves := (low < high) & (rate > 0)):
+            name = "" if axes == 1 else f" {AXIS_NAMES[int(np.argmin(moves))]}"
+            raise LogError(f"logs: the command{name} does not move, expected recordings of a motion")
+        limits = _of_all([CommandLimits(*one) for one in np.stack([low, high, rate], axis=1).tolist()])
+        words = f"as the recordings show: {_span(limits, unit)} at {in_words(together(rate.tolist()), '.4g')} per s"
+        hz, block = float(f"{1 / trials[0].dt:.4g}"), CommissionBlock() if axes == 1 else PlaneCommissionBlock()
+        # Two axes bend to both sides: their rest is the command next to zero.
+        safe = together(low.tolist() if axes == 1 else np.clip(0.0, low, high).tolist())
+        return Subject("recorded device", unit, hz, limits, safe, None, tuple(files), block), words
     if unit != settings.command_unit:
         raise ConfigError(f"logs: got commands in {unit}, expected the bench's {settings.command_unit}")
-    low, high = max(min(low, safe), bounds.lower), min(max(high, safe), bounds.upper)
-    if not low < high:
-        raise ConfigError(f"logs: commands are beyond the bench's limits {bounds.build()}, expected some within them")
-    words = f"commands that the recordings show within the bench's limits: {low:.4g} to {high:.4g} {unit}"
-    return subject_of(settings, CommandLimits(low, high, bounds.rate_per_s), files), words
+    made = []
+    for bounds, at, *ends in zip(settings.axes_limits, each(settings.safe_command), low, high, strict=True):
+        lower, upper = max(min(float(ends[0]), at), bounds.lower), min(max(float(ends[1]), at), bounds.upper)
+        if not lower < upper:
+            raise ConfigError(f"logs: commands are beyond the bench's limits {bounds}, expected some within them")
+        made.append(CommandLimits(lower, upper, bounds.rate))
+    limits = _of_all(made)
+    words = f"commands that the recordings show within the bench's limits: {_span(limits, unit)}"
+    return subject_of(settings, limits, files), words
+
+
+def _of_all(limits: Sequence[CommandLimits]) -> Limits:
+    return limits[0] if len(limits) == 1 else tuple(limits)
+
+
+def _span(limits: Limits, unit: str) -> str:
+    """Range of the command, or of both, in words."""
+    ends = (in_words(together(getattr(one, end) for one in each(limits)), ".4g") for end in ("lower", "upper"))
+    return f"{' to '.join(ends)} {unit}"

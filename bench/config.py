@@ -51,23 +51,13 @@ class PlaneCommissionBlock(CommissionBlock):
         angle_limits_deg: of both angles [deg]; the sensor's range less 5 % at either end where left out.
         range_steps: steps of the first climb of each axis, each with a rest.
         motions: references in the plane of both angles; drawn within the reached angles where left out.
-        diagnose: false: two axes are diagnosed with `hystmpc diagnose`.
+        diagnose: whether what joins the axes, and the residual of each, are diagnosed; takes minutes of computing time.
         tune_evaluations: as of one axis.
         seed: of everything random.
     """
 
     minutes: Annotated[float, Field(gt=0, le=MOST_PLANE_MINUTES)] = MOST_PLANE_MINUTES
     motions: Mapping[FolderName, MotionInPlane] | None = Field(default=None, min_length=1)  # type: ignore[assignment]  # pyright: ignore[reportIncompatibleVariableOverride]  # settings are frozen
-    diagnose: bool = False
-
-    @model_validator(mode="after")
-    def _without_diagnosis(self) -> PlaneCommissionBlock:
-        if self.diagnose:
-            raise ValueError(
-                "got commission.diagnose true, expected false for two axes: afterwards use `hystmpc diagnose "
-                "OUT/2-record/trials --sim OUT/4-fit/model.yaml`"
-            )
-        return self
 
 
 class InvestigateBlock(Settings):
@@ -153,7 +143,16 @@ class InvestigateSettings(CommissionSettings):
         return 60.0 * self.investigate.minutes
 
 
+class PlaneInvestigateSettings(PlaneCommissionSettings, InvestigateSettings):  # pyright: ignore[reportIncompatibleVariableOverride]
+    """Settings in a bench file of two axes with the block `investigate`; of `commission` the angle limits count.
+
+    Attributes:
+        investigate: what is judged, and how long the device may be moved.
+    """
+
+
 C = TypeVar("C", bound=CommissionSettings)
+J = TypeVar("J", bound=InvestigateSettings)
 
 
 def located_commission(settings: C, folder: Path) -> C:
@@ -166,8 +165,8 @@ def located_commission(settings: C, folder: Path) -> C:
 
 
 def located_investigation(
-    settings: InvestigateSettings, folder: Path, model: Path | str | None = None, minutes: float | None = None
-) -> InvestigateSettings:
+    settings: J, folder: Path, model: Path | str | None = None, minutes: float | None = None
+) -> J:
     """Settings with absolute file names; relative ones start at `folder`, those of `model` at the present folder.
 
     `model` and `minutes` replace the file's.

@@ -49,7 +49,7 @@ from hystmpc.trials.types import Progress, parts
 from .config import CommissionBlock, CommissionSettings
 from .device import AnyTip
 from .motions import AnyMotion, AnyReached, ReachedAngles, references
-from .stages import Figure
+from .stages import DIAGNOSIS, Figure
 
 MODEL_FILE, FIXED_FILE = "model.yaml", "model.fixed.yaml"
 _KIND = "auto"
@@ -210,7 +210,7 @@ def diagnose_model(subject: Subject, model: Path, folder: Path, progress: Progre
     done = diagnose_trials(
         trials,
         simulator,
-        out=folder / "diagnosis",
+        out=folder / DIAGNOSIS,
         called={"sim": str(model)},
         model=model,
         seed=seed,
@@ -223,7 +223,7 @@ def diagnose_model(subject: Subject, model: Path, folder: Path, progress: Progre
     return ModelDiagnosis(
         verdict=(headline(diagnosis), diagnosis.reason, closed_sentence(diagnosis), tracking_sentence(diagnosis)),
         corrected=corrected is not None,
-        next="" if motion is None else f"record {folder.name}/diagnosis/{motion.file} ({motion.duration_s:.0f} s)",
+        next="" if motion is None else f"record {folder.name}/{DIAGNOSIS}/{motion.file} ({motion.duration_s:.0f} s)",
     )
 
 

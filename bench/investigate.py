@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from hystmpc.gap.diagnosis import FIXED_FILE
 from hystmpc.models.simulator import load_simulator
-from hystmpc.trajectories.excitation import WHOLE_S
 from hystmpc.trials.errors import ConfigError, ModelError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.json_text import file_text
@@ -18,10 +18,12 @@ from hystmpc.trials.types import Progress, Vec
 from .config import InvestigateSettings
 from .device import Open
 from .identify import MODEL_FILE, FittedModel, check_trials, fit_model, subject_of
-from .motions import LEAST_SHARE, prepare_seconds, recordings, recordings_seconds
-from .round_plan import RoundPlan, RoundPlanner, first_seconds, planned_commands
-from .rounds import DIAGNOSIS, FIRST, Investigated, RecordedRound, Round, RoundVerdict, judge_round, round_folder
-from .stages import Stages, begun, fingerprint
+from .motions import LEAST_SHARE, prepare_seconds, recordings, recordings_seconds, whole_seconds
+from .plane import fit_both
+from .plane_rounds import PlanePlanner, judge_plane, planned_commands_of_both, require_plane_model
+from .round_plan import PlanePlan, RoundPlan, RoundPlanner, first_seconds, planned_commands
+from .rounds import FIRST, Investigated, PlaneVerdict, RecordedRound, Round, RoundVerdict, judge_round, round_folder
+from .stages import DIAGNOSIS, Stages, begun, fingerprint
 
 RESULT_FILE, REPORT_FILE = "investigation.json", "report.html"
 IDENTIFY = "identify"
@@ -71,17 +73,20 @@ def plan_rows(settings: InvestigateSettings) -> tuple[tuple[str, str, float], ..
     rows, spent = [], 0.0
     if share:
         spent = recordings_seconds(settings, share) + prepare_seconds(settings)
-        rows.append((IDENTIFY, "6 recordings to identify a simulator from: steps, holds, sines, reversals", spent))
+        runs = "17 recordings of each axis alone and of both" if of_plane(settings) else "6 recordings"
+        rows.append((IDENTIFY, f"{runs} to identify a simulator from: steps, holds, sines, reversals", spent))
         first, what = first_seconds(settings, settings.budget_s - spent), f"{count} motions chosen by the simulator"
+        what += " for each axis, and one of both" if of_plane(settings) else ""
     else:
         with TemporaryDirectory() as folder:
-            simulator = load_simulator(settings.investigate.model or "")
-            plan = RoundPlanner(settings, simulator, settings.budget_s, Path(folder)).first()
+            model = Path(settings.investigate.model or "")
+            plan = _first_plan(settings, model, settings.budget_s, Path(folder))
         first = plan.seconds
         what = ", ".join(name.partition("-")[2].replace("_", " ") for name in plan.motions)
     rows.append(("round 1", what, first))
     left_s = settings.budget_s - spent - first
-    rows.append(("further rounds", "one designed motion each, until the verdict is stable; at most", left_s))
+    further = "one designed motion of each open axis, one of both" if of_plane(settings) else "one designed motion each"
+    rows.append(("further rounds", f"{further}, until the verdict is stable; at most", left_s))
     return (*((name, text, seconds / 60) for name, text, seconds in rows), ("all", "at most", settings.budget_s / 60))
 
 
@@ -94,11 +99,12 @@ def identification_share(settings: InvestigateSettings) -> float:
     if settings.investigate.model is not None:
         return 0.0
     room = _IDENTIFY_SHARE * settings.budget_s - recordings_seconds(settings, 0.0) - prepare_seconds(settings)
-    share = min(room / WHOLE_S, 1.0)
+    whole_s = whole_seconds(settings)
+    share = min(room / whole_s, 1.0)
     if share < LEAST_SHARE:
         raise ConfigError(
             f"investigate: got {settings.investigate.minutes:g} minutes and no model, so that {max(room, 0.0):.0f} s "
-            f"are left for recordings to identify one, expected {LEAST_SHARE * WHOLE_S:.0f} s; more minutes, or --model"
+            f"are left for recordings to identify one, expected {LEAST_SHARE * whole_s:.0f} s; more minutes, or --model"
         )
     return share
 
@@ -108,18 +114,32 @@ def _model_hash(settings: InvestigateSettings) -> str:
     if settings.investigate.model is None:
         return ""
     path = Path(settings.investigate.model)
+    if of_plane(settings):
+        require_plane_model(path, settings.command_unit)
+        return fingerprint(path.read_bytes().hex())
     unit = load_simulator(path).command_unit
     if unit != settings.command_unit:
         raise ModelError(f"{path}: takes commands in {unit}, expected the bench's {settings.command_unit}")
     return fingerprint(path.read_bytes().hex())
 
 
+def of_plane(settings: InvestigateSettings) -> bool:
+    """Whether the bench has two axes."""
+    return len(settings.axes_limits) > 1
+
+
+def _first_plan(settings: InvestigateSettings, model: Path, left_s: float, folder: Path) -> RoundPlan | PlanePlan:
+    """Plan of the first round, written into a folder."""
+    if of_plane(settings):
+        return PlanePlanner(settings, require_plane_model(model, settings.command_unit), left_s, folder).first()
+    return RoundPlanner(settings, load_simulator(model), left_s, folder).first()
+
+
 def _investigated(settings: InvestigateSettings, stages: Stages) -> Investigated:
     """Execute all rounds; complete stages are loaded."""
     model, rounds = _model(settings, stages), list[Round]()
-    plan = stages.complete(
-        FIRST, RoundPlan, lambda folder: RoundPlanner(settings, load_simulator(model), stages.left_s, folder).first()
-    )
+    kind: type[RoundPlan | PlanePlan] = PlanePlan if of_plane(settings) else RoundPlan
+    plan = stages.complete(FIRST, kind, lambda folder: _first_plan(settings, model, stages.left_s, folder))
     planned_in = stages.root / FIRST
     while True:
         rounds.append(_round(settings, stages, model, rounds, plan, planned_in))
@@ -133,23 +153,27 @@ def _round(
     stages: Stages,
     model: Path,
     before: Sequence[Round],
-    plan: RoundPlan,
+    plan: RoundPlan | PlanePlan,
     planned_in: Path,
 ) -> Round:
     """Record the planned motions and diagnose all recordings so far."""
     number = len(before) + 1
     name = round_folder(stages.root, number).name
-    runs = {motion: planned_commands(planned_in, motion) for motion in plan.motions}
+    read = planned_commands_of_both if of_plane(settings) else planned_commands
+    runs = {motion: read(planned_in, motion) for motion in plan.motions}
     recorded = stages.complete(f"{name}/record", RecordedRound, lambda folder: _record(stages, settings, runs, folder))
     played = [(earlier.number, motion) for earlier in before for motion in earlier.recorded.names]
     played += [(number, motion) for motion in recorded.names]
     files = [round_folder(stages.root, k) / "record" / "trials" / f"{motion}.csv" for k, motion in played]
 
-    def diagnose(folder: Path) -> RoundVerdict:
-        left_s, verdicts = settings.budget_s - recorded.device_s, [earlier.judged for earlier in before]
-        return judge_round(settings, model, files, verdicts, left_s, folder, stages.computing(f"{name}: diagnose"))
+    def diagnose(folder: Path) -> Any:
+        left_s = settings.budget_s - recorded.device_s
+        verdicts: list[Any] = [earlier.judged for earlier in before]
+        judge = judge_plane if of_plane(settings) else judge_round
+        return judge(settings, model, files, verdicts, left_s, folder, stages.computing(f"{name}: diagnose"))
 
-    return Round(number, plan, recorded, stages.complete(f"{name}/diagnose", RoundVerdict, diagnose, _JUDGE_S))
+    kind: type[RoundVerdict | PlaneVerdict] = PlaneVerdict if of_plane(settings) else RoundVerdict
+    return Round(number, plan, recorded, stages.complete(f"{name}/diagnose", kind, diagnose, _JUDGE_S))
 
 
 def _model(settings: InvestigateSettings, stages: Stages) -> Path:
@@ -160,12 +184,14 @@ def _model(settings: InvestigateSettings, stages: Stages) -> Path:
     record = f"{IDENTIFY}/record"
     recorded = stages.complete(record, RecordedRound, lambda folder: _record(stages, settings, motions, folder))
     trials = [stages.root / record / "trials" / f"{name}.csv" for name in recorded.names]
-    subject = subject_of(settings, settings.limits.build(), trials)
+    limits = settings.axes_limits
+    subject = subject_of(settings, limits if of_plane(settings) else limits[0], trials)
     seeded = replace(subject, block=settings.commission.model_copy(update={"seed": settings.investigate.seed}))
 
     def fit(folder: Path) -> FittedModel:
         check_trials(seeded)
-        return fit_model(seeded, folder, stages.computing(f"{IDENTIFY}: fit"))
+        fit_all = fit_both if of_plane(settings) else fit_model
+        return fit_all(seeded, folder, stages.computing(f"{IDENTIFY}: fit"))
 
     stages.complete(f"{IDENTIFY}/fit", FittedModel, fit, _FIT_S)
     return stages.root / IDENTIFY / "fit" / MODEL_FILE

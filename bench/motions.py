@@ -46,6 +46,7 @@ _REST_S = 1.0  # at the safe command, before and after a recording
 _RETURN = 0.3  # share of the greatest rate on the ways to and from rest
 _BETWEEN_S = 0.6  # contact, hand-over and confirmation of each run
 _PLANE_LEAD_S = 2.0  # holds before and after the approach to a reference in the plane
+_LONGEST_OF_BOTH_S = 40.0  # of the recordings of both axes at full length
 _SLOPE_SHARE = 0.35  # of the greatest speed that a fast scan may ask for
 _WHOLE_SHARE = (0.5, 0.85)  # of the reached angles that a reference takes
 _EDGE = 0.08  # of the reached angles at either end, which references leave out
@@ -125,6 +126,13 @@ def _of_axis(
         there = np.concatenate([_rest(safe, dt), _line(safe, start, limits.rate, dt), wanted])
         played = limits.clip_plans(there, safe, dt)
         yield name, np.concatenate([played, _line(float(played[-1]), safe, limits.rate, dt), _rest(safe, dt)])
+
+
+def recordings_of_both(bench: BenchSettings, longest_s: float, seed: int) -> dict[str, Vec]:
+    """Commands (N, 2) of motions of both axes by name, about that long, without the one that a check leaves out."""
+    random = np.random.default_rng([seed, 1])
+    runs = dict(_of_both(bench, longest_s / _LONGEST_OF_BOTH_S, random))
+    return {name: commands for name, commands in runs.items() if name != LEFT_OUT}
 
 
 def _of_both(bench: BenchSettings, share: float, random: np.random.Generator) -> Iterator[tuple[str, Vec]]:
@@ -275,7 +283,7 @@ def away_seconds(bench: BenchSettings) -> float:
 
 def run_seconds(bench: BenchSettings, commands: int) -> float:
     """Upper bound on the device time of a run with this number of commands [s]."""
-    return commands * bench.dt_s + away_seconds(bench) + _RESERVE_S
+    return commands * bench.dt_s + away_seconds(bench) + shake_seconds(bench) + _RESERVE_S
 
 
 def whole_seconds(bench: BenchSettings) -> float:

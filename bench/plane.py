@@ -13,16 +13,18 @@ from typing import Any
 import numpy as np
 
 from hystmpc.ctrl.command import CommandLimits
-from hystmpc.ctrl.config import AnyControllerSettings
 from hystmpc.ctrl.feedback import InversePidControllerSettings, PidControllerSettings
 from hystmpc.ctrl.two_axes.tip_controller import TwoAxisTipController, TwoAxisTipSettings
+from hystmpc.gap.report.words import closed_sentence, tracking_sentence
+from hystmpc.gap.two_axes.diagnose import TwoAxisResult, diagnose_two_axes
+from hystmpc.gap.two_axes.words import effect_sentence, headlines
 from hystmpc.models.contract.metadata import DeviceLimits, Range
 from hystmpc.models.simulator import ChainModel
 from hystmpc.models.two_axes.evaluate import evaluate_two_axes
 from hystmpc.models.two_axes.identify import TwoAxisFit, fit_two_axes
 from hystmpc.models.two_axes.model import AXES, TwoAxisModel, load_two_axes
 from hystmpc.rig.axes import NAMES, each
-from hystmpc.sim.tuning.gains import PidLike, PidTuning, searched_gains
+from hystmpc.sim.tuning.gains import PidLike, PidTuning, mean_square_of, searched_gains
 from hystmpc.sim.two_axes.config import TwoAxisSimulationConfig
 from hystmpc.sim.two_axes.study import TwoAxisStudy, prepare_two_axes
 from hystmpc.trajectories.excitation import LEFT_OUT
@@ -33,11 +35,14 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress, parts
 
 from .identify import (
+    FIXED_FILE,
     MODEL_FILE,
     TIP_FILE,
     ControllerFiles,
     FittedModel,
+    ModelDiagnosis,
     Subject,
+    certified,
     evaluations,
     fit_request,
     start_gains,
@@ -46,6 +51,7 @@ from .identify import (
     uniform_trials,
 )
 from .motions import ReachedAngles, ReachedPlane
+from .stages import DIAGNOSIS
 
 DECOUPLED_FILE = "decoupled.yaml"
 """Model of the PID: what joins the axes, without the friction that they share."""
@@ -81,14 +87,61 @@ def is_left_out(trial: Trial) -> bool:
     return Path(trial.source).stem == LEFT_OUT
 
 
+def diagnose_both(subject: Subject, model: Path, folder: Path, progress: Progress) -> ModelDiagnosis:
+    """Diagnose what joins the axes and each axis; write it, and `model.fixed.yaml` where that is certified better.
+
+    Raises:
+        GapError: if the recordings cannot be compared with the model.
+        KeyboardInterrupt: if the user ended it; nothing is kept.
+    """
+    known, trials = load_two_axes(model), uniform_trials(subject)
+    out, called = folder / DIAGNOSIS, {"sim": str(model)}
+    done = diagnose_two_axes(
+        trials, known, out=out, called=called, model=model, seed=subject.block.seed, progress=progress
+    )
+    corrected = certified_of_both(done)
+    if corrected is not None:
+        corrected.save(folder / FIXED_FILE)
+    joins, first = done.diagnosis.joins, headlines(done.diagnosis)
+    each_axis = zip(NAMES, (done.diagnosis.x, done.diagnosis.y), strict=True)
+    more = [
+        f"Axis {name}: {text}"
+        for name, one in each_axis
+        for text in (one.reason, closed_sentence(one), tracking_sentence(one))
+        if text
+    ]
+    return ModelDiagnosis(
+        verdict=(*(f"{line[0].upper()}{line[1:]}." for line in first), *map(effect_sentence, joins.effects), *more),
+        corrected=corrected is not None,
+        next="",
+    )
+
+
+def certified_of_both(done: TwoAxisResult) -> TwoAxisModel | None:
+    """The simulator with what is better on held-out trials: the joins, and each axis for itself; None for nothing.
+
+    Each axis was diagnosed with the joins taken off. Where these are not better by themselves, nothing is changed.
+    """
+    joins, diagnosis = done.diagnosis.joins, done.diagnosis
+    if joins.effects and not joins.gap.joined_rmse_deg < joins.gap.nominal_rmse_deg:
+        return None
+    if not (joins.effects or certified(diagnosis.x) or certified(diagnosis.y)):
+        return None
+    return done.corrected(certified)
+
+
 def _described(fitted: TwoAxisFit, kind: str, left_out_deg: float) -> FittedModel:
-    """Result of the identification of both axes; sizes of errors are distances in their plane."""
+    """Result of the identification of both axes; sizes of errors are distances in their plane.
+
+    `left_out_deg` is NaN where no motion was left out.
+    """
+    checked = f"; motion left out {left_out_deg:.3g} deg" if math.isfinite(left_out_deg) else ""
     noises = [axis.simulator.identification.noise for axis in fitted.axes if axis.simulator is not None]
     sensor = [math.nan if noise is None else noise.sensor_sigma_deg for noise in noises]
     model = [math.nan if n is None or n.model_sigma_deg is None else n.model_sigma_deg for n in noises]
     named = [(name, axis.parts) for name, axis in zip(NAMES, fitted.axes, strict=True) if axis.parts is not None]
     return FittedModel(
-        report=f"{kind}: {fitted.report}; {_turned(fitted)}; motion left out {left_out_deg:.3g} deg",
+        report=f"{kind}: {fitted.report}; {_turned(fitted)}{checked}",
         parts=tuple((f"{n}: {r.part}", r.form, r.without_deg, r.with_deg) for n, p in named for r in p.rows),
         numbers=tuple((f"{n}: {r.owner} {r.name}", r.value, *r.ci90) for n, p in named for r in p.parameters),
         sensor_sigma_deg=math.hypot(*sensor),
@@ -167,7 +220,7 @@ def make_plane_controllers(
     }
     tuned = dict[str, PidTuning]()
     for (name, start), part in zip(starts.items(), parts(progress, list(shares.values())), strict=True):
-        square = partial(_mean_square, _study(subject, model, models[name], reached, sigma_deg))
+        square = partial(mean_square_of, _study(subject, model, models[name], reached, sigma_deg))
         tuned[name] = searched_gains(start, square, shares[name], subject.block.seed, part)
     step = sensor_step_deg(known)
     gains = {name: one.settings.gains.with_dead_zone(step).model_dump() for name, one in tuned.items()}
@@ -188,12 +241,6 @@ def sensor_step_deg(model: TwoAxisModel) -> float:
     """Greater resolution of both angles according to the model [deg]; 0 for a continuous sensor."""
     noises = (axis.identification.noise for axis in model.axes)
     return max(0.0 if noise is None else noise.sensor_resolution_deg for noise in noises)
-
-
-def _mean_square(study: TwoAxisStudy, settings: AnyControllerSettings) -> float:
-    """Mean over motions of the mean square distance of both angles from the reference [deg^2]."""
-    runs = [study.run(settings, motion) for motion in study.motions]
-    return float(np.mean([AXES * np.mean(run.counted_deg**2) for run in runs]))
 
 
 def _study(subject: Subject, device: Path, model: Path, reached: ReachedPlane, sigma_deg: float) -> TwoAxisStudy:

@@ -21,7 +21,9 @@ from hystmpc.models.two_axes.evaluate import evaluate_two_axes
 from hystmpc.models.two_axes.model import load_two_axes
 from hystmpc.models.two_axes.report import joint_pieces
 from hystmpc.rig.axes import NAMES, each
+from hystmpc.trials.axes import both_axes
 from hystmpc.trials.csv_files import read_csv
+from hystmpc.trials.read import read_trials
 from hystmpc.trials.recording import SEPARATION_COLUMN
 from hystmpc.trials.report import (
     COMMAND,
@@ -34,6 +36,7 @@ from hystmpc.trials.report import (
     Paragraph,
     Piece,
     Plot,
+    Points,
     Report,
     Table,
     new_figure,
@@ -44,8 +47,9 @@ from hystmpc.trials.types import rms
 from .device import Track
 from .identify import TIP_FILE, IdentifiedDevice, Subject, uniform_trials
 from .motions import CONTROLLERS, AnyReached, ReachedAngles
-from .round_plan import RoundPlan
-from .rounds import DIAGNOSIS, FIRST, Ending, Investigated, Round, round_folder
+from .round_plan import PlanePlan, RoundPlan
+from .rounds import FIRST, Ending, Investigated, PlaneVerdict, Round, round_folder
+from .stages import DIAGNOSIS
 from .verify import MPC, PID, TITLES, Tracks, Verification
 
 _COLOURS = {MPC: MEASURED, "inverse": MODEL, PID: COMMAND}
@@ -92,7 +96,8 @@ def write_commission(
 def write_investigation(made: Investigated, name: str, command_unit: str) -> Path:
     """Write the page of an investigation, whole or not at all."""
     subtitle = f"simulator {made.model.name}, {len(made.rounds)} rounds, {made.device_s:.0f} s of device time"
-    return Report(f"Investigation of {name}", tuple(_investigated(made, command_unit)), subtitle).save(made.report)
+    pieces = tuple(_investigated(made, command_unit))
+    return Report(f"Investigation of {name}", pieces, subtitle).save(made.report)
 
 
 def before_and_after(tracks: Tracks, unit: str) -> Figure:
@@ -266,7 +271,12 @@ def _gains(gains: Mapping[str, float], rmse_deg: float) -> str:
 
 def _investigated(made: Investigated, unit: str) -> Iterator[Piece]:
     last = made.verdict
-    yield Heading(last.headline)
+    if isinstance(last, PlaneVerdict):
+        yield Heading("What it says")
+        each_axis = (f"Axis {name}: {one.headline}" for name, one in zip(NAMES, last.axes, strict=True))
+        yield Points((last.joins.headline, *each_axis))
+    else:
+        yield Heading(last.headline)
     yield Paragraph(last.reason)
     yield Paragraph(f"Ended: {made.why}.")
     yield Paragraph(f"What to do: {TO_DO[made.ended]}.")
@@ -291,18 +301,32 @@ def _relative(path: Path, folder: Path) -> str:
 
 
 def _overview(made: Investigated) -> Table:
-    rows = []
+    rows: list[tuple[object, ...]] = []
     for one in made.rounds:
         judged, recorded = one.judged, one.recorded
+        if isinstance(judged, PlaneVerdict):
+            said = judged.joins.headline, *(axis.headline for axis in judged.axes)
+            sizes = judged.retuned_deg, judged.left_deg
+            rows.append((one.number, f"{recorded.device_s:.0f}", len(recorded.names), *said, *sizes))
+            continue
         odds = percent(judged.probability) if math.isfinite(judged.probability) else "-"
         facts = one.number, f"{recorded.device_s:.0f}", len(recorded.names), judged.headline
         rows.append((*facts, odds, judged.retuned_deg, judged.left_deg))
-    columns = ("round", "device time [s]", "motions", "verdict", "probability", "retuned [deg]", "with effects [deg]")
+    said_in: tuple[str, ...] = ("verdict", "probability")
+    if isinstance(made.verdict, PlaneVerdict):
+        said_in = ("between the axes", "x", "y")
+    columns = ("round", "device time [s]", "motions", *said_in, "retuned [deg]", "with effects [deg]")
     return Table(columns, rows, "Verdict after each round, on all trials so far; RMSE on trials kept for the end.")
 
 
 def _round(made: Investigated, one: Round, unit: str) -> Iterator[Piece]:
     yield Heading(f"Round {one.number}: {one.judged.headline}")
+    if isinstance(one.plan, PlanePlan):
+        for name, plan in zip(NAMES, (one.plan.x, one.plan.y), strict=True):
+            yield Paragraph(f"Axis {name}: {'no further motion' if plan is None else why_these(plan)}")
+        yield Paragraph(f"Both axes: {listed([in_words(motion) for motion in one.plan.both], 'and') or 'no motion'}.")
+        yield Plot(_plane_figure(made, one, unit), "Above: both commands. Below: both angles, and the simulator.", True)
+        return
     yield Paragraph(why_these(one.plan))
     yield Paragraph(f"Verdict on {one.judged.trials} trials: {one.judged.reason}.")
     yield Plot(
@@ -311,6 +335,28 @@ def _round(made: Investigated, one: Round, unit: str) -> Iterator[Piece]:
         "Below: what was expected to stay apart between the explanations when each is retuned.",
         zoom=True,
     )
+
+
+def _plane_figure(made: Investigated, one: Round, unit: str) -> Figure:
+    """Figure of both commands and both angles of each motion of a round, a column each, with the simulator's run."""
+    names, model = one.recorded.names, load_two_axes(made.model)
+    folder = round_folder(made.folder, one.number) / "record" / "trials"
+    recorded = read_trials([folder / f"{name}.csv" for name in names], rate_hz=1 / model.dt_s)
+    trials = both_axes(recorded) or []
+    with new_figure(9.0, 4.6) as figure:
+        grid = figure.subplots(2, len(trials), sharex="col", sharey="row", squeeze=False)
+        for (command, angle), trial in zip(grid.T, trials, strict=True):
+            t, run = trial.t - trial.t[0], evaluate_two_axes(model, trial)
+            for k, (name, colour) in enumerate(zip(NAMES, (MEASURED, COMMAND), strict=True)):
+                command.plot(t, trial.commands[:, k], color=colour, lw=1.0, label=name)
+                angle.plot(t, trial.angles[:, k], color=colour, lw=1.6)
+                angle.plot(t, run.theta[:, k], color=REFERENCE, lw=0.8)
+            command.set_title(Path(trial.source).stem.replace("_", " "), fontsize=7.0)
+            angle.set_xlabel("time [s]")
+        for axes, text in zip(grid[:, 0], (f"command [{unit}]", "angle [deg]"), strict=True):
+            axes.set_ylabel(text)
+        figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
+    return figure
 
 
 def why_these(plan: RoundPlan) -> str:

@@ -69,9 +69,33 @@ class RoundPlan:
     looked_at: int = 0  # number of motions compared
 
 
+@dataclass(frozen=True)
+class PlanePlan:
+    """Plan of a round of two axes: the motions of each axis that is open, and those of both.
+
+    Attributes:
+        x, y: plans of the axes; None where nothing of an axis is open.
+        both: names of the motions of both axes.
+        motions: names of all recordings, in their order.
+        seconds: greatest device time, approach and return included [s].
+    """
+
+    x: RoundPlan | None
+    y: RoundPlan | None
+    both: tuple[str, ...]
+    motions: tuple[str, ...]
+    seconds: float
+
+
 def least_seconds(bench: BenchSettings) -> float:
     """Device time of the shortest round [s]."""
     return prepare_seconds(bench) + run_seconds(bench, math.ceil(LEAST_MOTION_S / bench.dt_s))
+
+
+def first_count(settings: InvestigateSettings) -> int:
+    """Number of first motions: those of one axis; of two axes those of each, and one of both."""
+    count = settings.investigate.first_motions
+    return count if len(settings.axes_limits) == 1 else 2 * count + 1
 
 
 def first_longest_s(settings: InvestigateSettings, left_s: float) -> float:
@@ -80,7 +104,7 @@ def first_longest_s(settings: InvestigateSettings, left_s: float) -> float:
     Raises:
         ConfigError: if the device time is too short for them.
     """
-    count = settings.investigate.first_motions
+    count = first_count(settings)
     longest = (_FIRST_SHARE * left_s - prepare_seconds(settings)) / count - run_seconds(settings, 0)
     longest = min(longest, settings.investigate.longest_motion_s)
     if longest < LEAST_MOTION_S:
@@ -93,7 +117,7 @@ def first_longest_s(settings: InvestigateSettings, left_s: float) -> float:
 
 def first_seconds(settings: InvestigateSettings, left_s: float) -> float:
     """Greatest device time of the first motions [s]."""
-    count, longest = settings.investigate.first_motions, first_longest_s(settings, left_s)
+    count, longest = first_count(settings), first_longest_s(settings, left_s)
     return prepare_seconds(settings) + count * run_seconds(settings, math.ceil(longest / settings.dt_s))
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from hystmpc.gap.decide.attribution import Findings
 from hystmpc.gap.diagnose import diagnose_trials
 from hystmpc.gap.diagnosis import Diagnosis, Verdict
 from hystmpc.gap.next.open_hypotheses import discrimination_task, within_one_sample
@@ -18,13 +20,13 @@ from hystmpc.trials.read import read_trials
 from hystmpc.trials.types import Progress
 
 from .config import InvestigateSettings
-from .round_plan import RoundPlan, RoundPlanner, least_seconds
-from .stages import Figure
+from .round_plan import PlanePlan, RoundPlan, RoundPlanner, least_seconds
+from .stages import DIAGNOSIS, Figure
 
 Ending = Literal["", "named", "no_gap", "nothing_gained", "budget"]
-FORMAT = "hystmpc-investigation/1"
-FIRST, DIAGNOSIS = "first", "diagnosis"
-"""Folders of the first motions, and of a diagnosis in its stage."""
+FORMAT, PLANE_FORMAT = "hystmpc-investigation/1", "hystmpc-two-axis-investigation/1"
+FIRST = "first"
+"""Folder of the first motions."""
 
 _SURE = 2  # rounds in a row that name the same single effect
 _STUCK = 4  # rounds in a row with the same result, from which on no motion is designed
@@ -61,6 +63,89 @@ class RoundVerdict:
         verdict = _NO_GAP[0] if self.verdict in _NO_GAP else self.verdict
         return verdict, frozenset(self.effects), frozenset(frozenset(names) for names in self.ambiguity)
 
+    def summary(self) -> dict[str, Any]:
+        """Plain data of the verdict, as in `diagnosis.json`."""
+        return {
+            "verdict": self.verdict,
+            "effects": list(self.effects),
+            "ambiguity": [list(names) for names in self.ambiguity],
+            "reason": self.reason,
+        }
+
+
+@dataclass(frozen=True)
+class JoinVerdict:
+    """Verdict of a round on what joins two axes.
+
+    Attributes:
+        effects: names of the effects between the axes.
+        ambiguity: sets of effects that the recordings cannot tell apart.
+        headline: the verdict in words.
+        unclear: whether an effect that is not sure lowers the error.
+        next: motion of both axes to record; empty where none follows.
+        ended: reason of the end; empty where it goes on.
+    """
+
+    effects: tuple[str, ...]
+    ambiguity: tuple[tuple[str, ...], ...]
+    headline: str
+    unclear: bool = False
+    next: str = ""
+    ended: Ending = ""
+    why: str = ""
+
+    @property
+    def result(self) -> tuple[frozenset[str], frozenset[frozenset[str]], bool]:
+        """Effects, indistinguishable sets and whether it is unclear, for the comparison of rounds."""
+        return frozenset(self.effects), frozenset(frozenset(names) for names in self.ambiguity), self.unclear
+
+
+@dataclass(frozen=True)
+class PlaneVerdict:
+    """Verdict of a round of two axes: what joins them, and each axis as a device of one."""
+
+    joins: JoinVerdict
+    x: RoundVerdict
+    y: RoundVerdict
+    trials: int
+    next: PlanePlan | None = None  # motions of the next round; None where the investigation ends
+    ended: Ending = ""  # reason of the end; empty where it goes on
+    why: str = ""  # the same in one sentence
+
+    @property
+    def axes(self) -> tuple[RoundVerdict, RoundVerdict]:
+        """Verdicts of x and of y."""
+        return self.x, self.y
+
+    @property
+    def headline(self) -> str:
+        """The three verdicts in words."""
+        return f"{self.joins.headline}. Axis x: {self.x.headline}. Axis y: {self.y.headline}"
+
+    @property
+    def reason(self) -> str:
+        """Reasons of the verdicts of both axes."""
+        return f"x: {self.x.reason}; y: {self.y.reason}"
+
+    @property
+    def retuned_deg(self) -> float:
+        """RMSE of the tip on the final trials without the effects of the axes, what joins them corrected [deg]."""
+        return math.hypot(self.x.retuned_deg, self.y.retuned_deg)
+
+    @property
+    def left_deg(self) -> float:
+        """RMSE of the tip on the final trials with all effects [deg]."""
+        return math.hypot(self.x.left_deg, self.y.left_deg)
+
+    def summary(self) -> dict[str, Any]:
+        """Plain data of the three verdicts."""
+        joins = {
+            "effects": list(self.joins.effects),
+            "ambiguity": [list(names) for names in self.joins.ambiguity],
+            "headline": self.joins.headline,
+        }
+        return {"joins": joins, "x": self.x.summary(), "y": self.y.summary()}
+
 
 @dataclass(frozen=True)
 class RecordedRound:
@@ -75,9 +160,9 @@ class Round:
     """One round of an investigation: number from 1, plan, recordings, verdict."""
 
     number: int
-    plan: RoundPlan
+    plan: RoundPlan | PlanePlan
     recorded: RecordedRound
-    judged: RoundVerdict
+    judged: RoundVerdict | PlaneVerdict
     __repr__ = brief
 
 
@@ -97,22 +182,20 @@ class Investigated:
 
     def __repr__(self) -> str:
         last = self.verdict
-        return in_brief(self, f"{last.verdict} after {len(self.rounds)} rounds, {self.device_s:.4g} s: {last.reason}")
+        said = last.verdict if isinstance(last, RoundVerdict) else f"{last.x.verdict}, {last.y.verdict}"
+        return in_brief(self, f"{said} after {len(self.rounds)} rounds, {self.device_s:.4g} s: {last.reason}")
 
     @property
-    def verdict(self) -> RoundVerdict:
+    def verdict(self) -> RoundVerdict | PlaneVerdict:
         """Verdict of the last round."""
         return self.rounds[-1].judged
 
     def as_json(self) -> dict[str, Any]:
-        """Plain data of the format `hystmpc-investigation/1`."""
+        """Plain data of the format `hystmpc-investigation/1`, or `hystmpc-two-axis-investigation/1`."""
         last = self.verdict
         return {
-            "format": FORMAT,
-            "verdict": last.verdict,
-            "effects": list(last.effects),
-            "ambiguity": [list(names) for names in last.ambiguity],
-            "reason": last.reason,
+            "format": FORMAT if isinstance(last, RoundVerdict) else PLANE_FORMAT,
+            **last.summary(),
             "ended": self.ended,
             "why": self.why,
             "device_s": round(self.device_s, 3),
@@ -158,17 +241,39 @@ def judge_round(
         seed=seed,
         progress=progress,
     )
-    findings, judged = done.findings, round_verdict(done.diagnosis, len(files))
-    sought = judged.verdict in _OPEN or judged.verdict in _NO_GAP
-    repeats, number = _equal_count([*before, judged]), len(files) + 1
-    longer = _LONGER ** (repeats - 1) if sought else 1
-
+    judged = round_verdict(done.diagnosis, len(files))
     planner = RoundPlanner(settings, simulator, left_s, folder)
+    recorded = {file.stem.partition("-")[2] for file in files}
+    least_s = least_seconds(settings)
+    return judged_next(planner, done.findings, judged, before, len(files) + 1, recorded, left_s, least_s)
+
+
+def judged_next(
+    planner: RoundPlanner,
+    findings: Findings,
+    judged: RoundVerdict,
+    before: Sequence[RoundVerdict],
+    number: int,
+    recorded: Collection[str],
+    left_s: float,
+    least_s: float,
+) -> RoundVerdict:
+    """Add its consequence to a verdict, see `with_next`.
+
+    Args:
+        planner: of the next motion, within the device time left.
+        number: of the recording of that motion.
+        recorded: kinds of motion that were recorded.
+        left_s, least_s: device time left, and that of the shortest round [s].
+    """
+    sought = judged.verdict in _OPEN or judged.verdict in _NO_GAP
+    repeats = _equal_count([*before, judged])
+    longer = _LONGER ** (repeats - 1) if sought else 1
 
     def planned() -> RoundPlan | None:
         if within_one_sample(findings) and repeats > 1:
             return None
-        question, recorded = discrimination_task(findings), {file.stem.partition("-")[2] for file in files}
+        question = discrimination_task(findings)
         undecided = repeats > 1  # the last motion was to decide, and did not
         if undecided and (further := planner.further(question, number, recorded)):
             return further
@@ -178,7 +283,7 @@ def judge_round(
                 return designed
         return None if undecided else planner.further(question, number, recorded)
 
-    return with_next(judged, before, planned, left_s, least_seconds(settings))
+    return with_next(judged, before, planned, left_s, least_s)
 
 
 def round_verdict(diagnosis: Diagnosis, trials: int) -> RoundVerdict:

@@ -25,7 +25,7 @@ from .device import DeviceStoppedError, MovableDevice, Open
 from .motions import prepare_seconds, run_seconds
 
 FORMAT = "hystmpc-commissioning/1"
-RESULT, BEGUN = "result.json", "begun.json"
+RESULT, BEGUN, DIAGNOSIS = "result.json", "begun.json", "diagnosis"
 _COMPUTED = 0.05  # seconds that a computed device takes for one of device time, for the bar
 
 Figure = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]

@@ -44,6 +44,10 @@ FILES: Mapping[str, tuple[str, str]] = MappingProxyType(
             "a device of two axes, of `hystmpc commission`",
         ),
         "investigate": ("hystmpc.bench.config:InvestigateSettings", "a device of `hystmpc investigate`"),
+        "investigate-two-axes": (
+            "hystmpc.bench.config:PlaneInvestigateSettings",
+            "a device of two axes, of `hystmpc investigate`",
+        ),
         "device": ("hystmpc.rig.device:DeviceSettings", "a simulated device of `hystmpc device`"),
         "device-two-axes": (
             "hystmpc.rig.device:PlaneDeviceSettings",

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 DIFFERENT = 1
 
 _COLUMNS = ("controller", "RMSE", "max", "hold", "hold p-p", "step ms", "p99 ms", "beyond")
-_TUNED = ("settings", "objective", "mean error", "worst plant", "travel", "violations")
 _JOBS = {**OPTIONAL, "help": "Processes of one thread each; one a core where left out."}
 _NOTHING_KEPT = "interrupted before a run was finished: nothing is kept"
 
@@ -152,7 +151,10 @@ def tune(call: Call) -> None:
         say(f"failed: trial {failed.slot}: {failed.message}", style="red")
     check = tuning.check
     rows = [[name, *(f"{value:.3f}" for value in figures), str(beyond)] for name, *figures, beyond in check.rows()]
-    out.print(table(f"{len(check.given)} plants that the search has not seen [deg]", _TUNED, rows))
+    columns: tuple[str, ...] = ("settings", "objective", "mean error", "worst plant", "travel", "violations")
+    if check.axes:  # two more columns have room beside short names
+        columns = ("settings", "objective", "error", *check.axes, "worst", "travel", "beyond")
+    out.print(table(f"{len(check.given)} plants that the search has not seen [deg]", columns, rows))
     low, high = check.interval()
     line(f"objective {100 * check.gain:.1f} % lower, 90 % interval over plants {100 * low:.1f} to {100 * high:.1f} %")
     line(f"controller: {call.out / 'controller.yaml'}")

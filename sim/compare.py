@@ -26,7 +26,6 @@ from hystmpc.trials.types import Progress, parts
 
 from .config import SimulationConfig, load_simulation
 from .results import (
-    AnyStudyConfig,
     Result,
     StudyResult,
     approach_sentence,
@@ -42,13 +41,11 @@ from .results import (
     result_of,
     tip_figure,
 )
-from .study import Study, prepare
+from .study import prepare
 from .tuning.gains import PidLike, tuned_study
-from .two_axes.config import TwoAxisSimulationConfig
+from .two_axes.config import AnyStudyConfig, TwoAxisSimulationConfig
 from .two_axes.report import set_up_rows, signals_figure
-from .two_axes.study import TwoAxisStudy, prepare_two_axes
-
-AnyStudy = Study | TwoAxisStudy
+from .two_axes.study import AnyStudy, prepare_two_axes
 
 _STEP_S, _PID_STEP_S = 2e-3, 3e-4  # of a closed loop, with the mean controller and with one that is tuned
 _REPORT_S, _RUN_REPORT_S = 3.0, 0.4  # of the page, and of a run on it
@@ -72,7 +69,7 @@ def compare(config: AnyStudyConfig, out: Path | str | None = None, progress: Pro
     results: list[Result] = []
     tuning, running, reporting = parts(progress, _expected_s(study))
     try:
-        study = tuned_study(study, tuning) if isinstance(study, Study) else study
+        study = tuned_study(study, tuning)
         if folder is not None:
             # Requested and resulting settings are stored apart: the settings written repeat the run without the search.
             write_atomically(folder.path / "config.yaml", dump_yaml(study.config.model_dump(mode="json")))
@@ -99,8 +96,7 @@ def _expected_s(study: AnyStudy) -> tuple[float, float, float]:
     config, steps = study.config, sum(study.steps(name) for name in study.motions)
     count = len(config.controllers)
     tuned = sum(isinstance(settings, PidLike) for settings in config.controllers.values())
-    search_of = config.tune_pid if isinstance(config, SimulationConfig) else None
-    search = tuned * search_of.evaluations * steps * _PID_STEP_S if search_of else 0.0
+    search = tuned * config.tune_pid.evaluations * steps * _PID_STEP_S if config.tune_pid else 0.0
     return search, count * steps * _STEP_S, _REPORT_S + count * len(study.motions) * _RUN_REPORT_S
 
 
@@ -288,7 +284,7 @@ def _set_up(result: StudyResult) -> Iterator[Piece]:
         names = {"plant": _short(config.plant.name), "model": _short(config.model)}
         yield Heading("Set-up")
         yield KeyValues(names | _clock_and_seed(result) | set_up_rows(config, unit) | _occasion(result))
-        yield from _gains(config.controllers, unit)
+        yield from _gains(config.controllers, unit, config.tuned)
         return
     limits = config.limits
     beyond = config.plant.model_dump(exclude={"simulator", "device"})

@@ -206,9 +206,7 @@ class SimulationConfig(Settings):
 
     def narrowed(self, controller: str, motion: str) -> Self:
         """Return the study with one controller and one motion alone."""
-        tuned = tuple(name for name in self.tuned if name == controller)
-        one = {"motions": {motion: self.motions[motion]}, "controllers": {controller: self.controllers[controller]}}
-        return self.model_copy(update={**one, "tuned": tuned})
+        return self.model_copy(update=one_run(self, controller, motion))
 
     @model_validator(mode="before")
     @classmethod
@@ -228,6 +226,15 @@ class SimulationConfig(Settings):
             if fault := sensor_fault(settings, self.sensor.kind):
                 raise MisplacedError(f"controllers.{name}.{fault}", ("controllers", name, "estimator"))
         return self
+
+
+def one_run(config: Any, controller: str, motion: str) -> dict[str, Any]:
+    """Changes of a study, of one axis or of two, that leave one controller and one motion."""
+    return {
+        "motions": {motion: config.motions[motion]},
+        "controllers": {controller: config.controllers[controller]},
+        "tuned": tuple(name for name in config.tuned if name == controller),
+    }
 
 
 _SENSORS: TypeAdapter[AnySensorSettings] = TypeAdapter(SimulatedSensor)

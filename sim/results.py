@@ -25,7 +25,7 @@ from hystmpc.trials.types import Vec
 from .config import SimulationConfig
 from .study import ClosedLoopRun
 from .two_axes.columns import Column, apart, together
-from .two_axes.config import TwoAxisSimulationConfig, says_two_axes
+from .two_axes.config import AnyStudyConfig, TwoAxisSimulationConfig, parse_study
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,7 +36,6 @@ _STILL_DEG = 1e-9
 _ROUNDING = 1e-9  # of the command's range: a limit that is met exactly is not violated
 Limits = CommandLimits | tuple[CommandLimits, ...]
 """Hard limits of the command, or of every command of two axes."""
-AnyStudyConfig = SimulationConfig | TwoAxisSimulationConfig
 _STAGE = "stage_"
 _LOOP = {
     "time_s": "time_s",
@@ -347,9 +346,8 @@ def load_results(path: Path | str) -> StudyResult:
         ConfigError: if its settings are not those of a simulation.
     """
     folder = RunFolder.open(path)
-    data, where = folder.config(), str(folder.path / "config.yaml")
-    kind = TwoAxisSimulationConfig if says_two_axes(data, folder.path) else SimulationConfig
-    config = kind.parse(data, where)
+    where = str(folder.path / "config.yaml")
+    config = parse_study(folder.config(), where, folder.path)
     if config.limits is None:
         raise ConfigError(f"{where}: limits: got none, expected those that held")
     lowest = config.limits.lower if isinstance(config, SimulationConfig) else 0.0

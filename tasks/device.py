@@ -119,10 +119,10 @@ def investigate(
     """Find the causes of the gap between a simulator and its device by recording and diagnosing in turn.
 
     The device moves for the minutes given at most, in real time; one of `kind: simulated` is computed faster. The same
-    call goes on after the last complete part.
+    call goes on after the last complete part. Of two axes, what joins them is judged, and then each axis.
 
     Args:
-        config: a bench with the block `investigate`: a YAML file or a mapping.
+        config: a bench of one axis or of two with the block `investigate`: a YAML file or a mapping.
         out: a new or empty folder, or one in which the same investigation was begun.
         model: simulator to be judged (.yaml), in place of that of the file; without either one is identified first.
         minutes: device time, never exceeded.
@@ -185,7 +185,7 @@ def _planned(settings: CommissionSettings, rows: Iterable[tuple[str, str, float]
         f"to {high:g} deg; every motion starts and ends at {in_words(settings.safe_command, 'g')} {unit}"
     )
     if len(limits) > 1:
-        text += "; not done for two axes: a diagnosis, see `hystmpc diagnose`; a watch on forces; drift over hours"
+        text += "; not done for two axes: a watch on forces; drift over hours"
     return DevicePlan(f"{settings.name} ({where}): minutes of device time", tuple(rows), text)
 
 
@@ -225,11 +225,14 @@ def _plain(config: Settings) -> object:
 def _investigation(
     config: Settings, overrides: Iterable[str], model: Path | str | None, minutes: float | None
 ) -> InvestigateSettings:
-    from hystmpc.bench.config import CommissionSettings, InvestigateSettings, kind_of_commission, located_investigation
+    from hystmpc.bench.config import (
+        InvestigateSettings,
+        PlaneCommissionSettings,
+        PlaneInvestigateSettings,
+        kind_of_commission,
+        located_investigation,
+    )
 
-    if kind_of_commission(_plain(config), _folder_of(config)) is not CommissionSettings:
-        raise ConfigError(
-            "investigate: got a bench of two axes, expected one axis; use `hystmpc record` and `hystmpc diagnose`"
-        )
-    settings = settings_of(InvestigateSettings, config, overrides)
+    two = kind_of_commission(_plain(config), _folder_of(config)) is PlaneCommissionSettings
+    settings = settings_of(PlaneInvestigateSettings if two else InvestigateSettings, config, overrides)
     return located_investigation(settings, _folder_of(config), model, minutes)

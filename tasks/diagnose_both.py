@@ -55,4 +55,5 @@ def diagnose_both(
     from hystmpc.gap.two_axes.diagnose import diagnose_two_axes  # scipy takes long to import: after all checks
 
     called = {"sim": None if model is None else str(model), "layout": str(layout)}
-    return diagnose_two_axes(recorded, simulator, out=out, called=called, model=model, say=say, **options)
+    done = diagnose_two_axes(recorded, simulator, out=out, called=called, model=model, say=say, **options)
+    return done.diagnosis

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,6 @@ import numpy as np
 
 from hystmpc.models.effects.catalogue import diagnosable
 from hystmpc.models.identify.least_squares import one_blas_thread
-from hystmpc.models.simulator import Simulator
 from hystmpc.models.two_axes.model import AXES, TwoAxisModel
 from hystmpc.trials.errors import GapError, nearest
 from hystmpc.trials.files import figures_folder, figures_to, write_atomically
@@ -21,13 +20,35 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress, parts
 
 from ..diagnose import DiagnosisResult, diagnose_trials
-from ..diagnosis import FIXED_FILE
+from ..diagnosis import FIXED_FILE, Diagnosis
 from ..report.folder import DIAGNOSIS_FILE, renewed, require_free
 from .diagnosis import TWO_AXIS_FORMAT, TwoAxisDiagnosis
 from .joins import FREE, JoinTrials, find_joins
 
 _TIMES = 20.0, 40.0, 40.0  # of the joins and of each axis
 _MOVES = 0.1  # of the greatest range of its travel: an axis that moves less in a trial is not diagnosed from it
+
+
+@dataclass(frozen=True, eq=False)
+class TwoAxisResult:
+    """Result of a diagnosis of two axes with the results of its steps.
+
+    Attributes:
+        joined: the simulator with the effects between the axes, its axes as given.
+        axes: results of x and of y, with the joins taken off.
+    """
+
+    diagnosis: TwoAxisDiagnosis
+    joined: TwoAxisModel
+    axes: tuple[DiagnosisResult, DiagnosisResult]
+
+    def corrected(self, sure: Callable[[Diagnosis], bool]) -> TwoAxisModel:
+        """The simulator with the effects between the axes, and each axis corrected where its diagnosis is sure."""
+        x, y = (
+            fixed.at_sample_time(self.joined.dt_s) if sure(one.diagnosis) and (fixed := one.data.fixed) else given
+            for one, given in zip(self.axes, self.joined.axes, strict=True)
+        )
+        return replace(self.joined, axes=(x, y))
 
 
 def diagnose_two_axes(
@@ -42,9 +63,10 @@ def diagnose_two_axes(
     only: Sequence[str] | None = None,
     ordered: bool = True,
     skip_first_flexure: bool = False,
+    of_joins: Sequence[Trial] | None = None,
     progress: Progress | None = None,
     say: Callable[[str], None] | None = None,
-) -> TwoAxisDiagnosis:
+) -> TwoAxisResult:
     """Diagnose trials of two axes: what joins them, then each axis with the joins taken off.
 
         w = M u,    y = A^-1 theta - c(w):    axis i is a device of command w_i and angle y_i
@@ -55,6 +77,8 @@ def diagnose_two_axes(
         trials: of commands (T, 2) and angles (T, 2), at the sample time of the simulator.
         out: folder for `diagnosis.json`, report and corrected simulator, and the folders `x` and `y` of the axes.
         without, only: effects of the library, and those between the axes.
+        of_joins: trials that tell what joins the axes, as much of one axis as of the other; all where left out. What is
+            wrong in one axis may be taken for a join otherwise.
         called, model, seed, ordered, skip_first_flexure, progress, say: see `diagnose_trials`.
 
     Raises:
@@ -72,7 +96,7 @@ def diagnose_two_axes(
         require_free(out, (TWO_AXIS_FORMAT,))
     first, *each = parts(progress, _TIMES)
     first(0, 1, "what joins both axes")
-    data = JoinTrials.of(simulator, trials, ordered)
+    data = JoinTrials.of(simulator, trials if of_joins is None else of_joins, ordered)
     offered = [name for name in FREE if name not in without and (only is None or name in only)]
     joins, joined = one_blas_thread(find_joins)(data, seed, offered)
     x, y = (
@@ -90,19 +114,18 @@ def diagnose_two_axes(
         )
         for i, name in enumerate("xy")
     )
-    diagnosis = TwoAxisDiagnosis(joins, x.diagnosis, y.diagnosis)
+    done = TwoAxisResult(TwoAxisDiagnosis(joins, x.diagnosis, y.diagnosis), joined, (x, y))
     if out is not None:
-        corrected = replace(joined, axes=(_corrected(x, joined, 0), _corrected(y, joined, 1)))
         settings = {
             "logs": [trial.source for trial in trials], **(called or {}), "seed": seed, "without": list(without),
             "only": None if only is None else list(only), "ordered": ordered, "skip_first_flexure": skip_first_flexure,
         }  # fmt: skip
         models = () if model is None else (model,)
-        _save(diagnosis, corrected, data, Path(out), settings, models)
+        _save(done.diagnosis, done.corrected(_stable), data, Path(out), settings, models)
         for name, result in (("x", x), ("y", y)):
             with figures_to(None if (folder := figures_folder()) is None else folder / name):
                 result.save(Path(out) / name, {**settings, "axis": name}, models)
-    return diagnosis
+    return done
 
 
 def axis_trials(model: TwoAxisModel, trials: Sequence[Trial], axis: int) -> list[Trial]:
@@ -128,11 +151,9 @@ def _of_axis(say: Callable[[str], None], name: str) -> Callable[[str], None]:
     return lambda text: say(f"axis {name}: {text}")
 
 
-def _corrected(result: DiagnosisResult, joined: TwoAxisModel, axis: int) -> Simulator:
-    """The axis as its diagnosis corrects it; as given where nothing of it is named, or the verdict flips."""
-    diagnosis, fixed = result.diagnosis, result.data.fixed
-    sure = diagnosis.verdict in ("named", "one_of", "retuned") and not diagnosis.relies_on_its_split
-    return fixed.at_sample_time(joined.dt_s) if sure and fixed is not None else joined.axes[axis]
+def _stable(diagnosis: Diagnosis) -> bool:
+    """Whether something of the axis is named, and the verdict does not flip between splits of the trials."""
+    return diagnosis.verdict in ("named", "one_of", "retuned") and not diagnosis.relies_on_its_split
 
 
 def _save(

@@ -34,6 +34,9 @@ from .diagnosis import JoinEffect, JoinGap, KnownJoins
 FREE: Mapping[str, tuple[int, ...]] = {"misalignment": (0, 1), "cross_coupling": (2, 3), "shared_friction": ()}
 """Numbers (a, b, p, q) that each effect has."""
 
+AS_GIVEN = "as given"
+"""Name of no effect among those that were tried."""
+
 LEAST_S = 15.0
 """Duration of all trials below which no effect is looked for [s]."""
 
@@ -196,7 +199,7 @@ class JoinTrials:
     @property
     def held_out(self) -> dict[str, float]:
         """Errors on parts left out [deg], by the effects that were tried."""
-        rows = ((" + ".join(sorted(names)) or "as given", tried) for names, tried in self._kept.items())
+        rows = ((" + ".join(sorted(names)) or AS_GIVEN, tried) for names, tried in self._kept.items())
         return {name: float(np.sqrt(tried.squares.mean())) for name, tried in rows}
 
     def worth_trying(self, more: Sequence[frozenset[str]], chosen: Tried, floor_mse: float) -> list[frozenset[str]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..report.words import headline, in_words, listed, percent
-from .diagnosis import JoinEffect, TwoAxisDiagnosis
+from .diagnosis import JoinEffect, KnownJoins, TwoAxisDiagnosis
 
 _ACTIONS = {
     "misalignment": "Turn the tendons back, or use `sim.fixed.yaml`, which has their directions.",
@@ -16,15 +16,14 @@ _ACTIONS = {
 def headlines(diagnosis: TwoAxisDiagnosis) -> tuple[str, str, str]:
     """A sentence on what joins the axes, and one on each axis."""
     return (
-        f"between the axes: {join_headline(diagnosis)}",
+        f"between the axes: {join_headline(diagnosis.joins)}",
         f"axis x: {headline(diagnosis.x)}",
         f"axis y: {headline(diagnosis.y)}",
     )
 
 
-def join_headline(diagnosis: TwoAxisDiagnosis) -> str:
+def join_headline(joins: KnownJoins) -> str:
     """What joins the axes otherwise than in the simulator, in one sentence without a full stop."""
-    joins = diagnosis.joins
     if not joins.effects:
         return "Both axes are joined as in the simulator"
     names = listed([in_words(effect.name) for effect in joins.effects], "and")

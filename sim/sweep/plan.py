@@ -20,9 +20,11 @@ from hystmpc.trials.json_text import canonical, file_hash, json_hash
 from ..config import SimulationConfig
 from ..jobs import attempt
 from ..plants.device import plant_hash
-from ..results import TrackingMetrics, result_of
+from ..results import Result, TrackingMetrics, result_of
 from ..study import prepare
-from .settings import SweepSettings, changed, drawn, label, path_parts, place
+from ..two_axes.config import AnyStudyConfig, TwoAxisSimulationConfig, parse_study, says_two_axes
+from ..two_axes.study import AnyStudy, prepare_two_axes
+from .settings import PlainStudy, SweepSettings, drawn, label, path_parts, place
 
 _KNOWLEDGE = ("model", "inverse", "actuator_lag_s")  # costly to open, so that they vary slowest
 _ID_DIGITS = 16
@@ -41,12 +43,12 @@ class SweepRow:
     settings: str  # the study with this controller and motion alone, as JSON
     files: tuple[str, ...]  # SHA-256 of plant, model and inverse
 
-    def config(self) -> SimulationConfig:
+    def config(self) -> AnyStudyConfig:
         """Settings of the run."""
-        return SimulationConfig.parse(json.loads(self.settings), f"row {self.id}")
+        return parse_study(json.loads(self.settings), f"row {self.id}")
 
 
-def file_hashes(config: SimulationConfig, known: dict[str, str] | None = None) -> tuple[str, ...]:
+def file_hashes(config: AnyStudyConfig, known: dict[str, str] | None = None) -> tuple[str, ...]:
     """SHA-256 of plant, model and inverse; `known` caches those of files by name."""
     known = {} if known is None else known
 
@@ -55,6 +57,8 @@ def file_hashes(config: SimulationConfig, known: dict[str, str] | None = None) -
             known[name] = file_hash(model_path(name))
         return known[name]
 
+    if isinstance(config, TwoAxisSimulationConfig):
+        return of(config.plant.simulator), of(config.model)
     simulator = config.plant.simulator
     plant = plant_hash(config.plant) if simulator is None else of(simulator)
     return (plant, *(of(name) for name in (config.model, config.inverse) if name is not None))
@@ -117,24 +121,31 @@ class SweepPlan:
         kinds = self.columns()
         return {path: float(v) if kinds[path] == "number" else label(v) for path, v in values.items()}
 
-    def _at(self, point: Mapping[str, tuple[str, Any]]) -> Any:
-        """Study at a grid point, with defaults for missing keys of blocks among the values."""
-        data = self._with(self.settings.base, {path: value for path, (_, value) in point.items()}, "grid")
-        return self._study(data).model_dump(mode="json") if point else data
+    @cached_property
+    def axes(self) -> int:
+        """Number of axes of the study."""
+        return 2 if says_two_axes(self.settings.base, Path()) else 1
 
-    def _with(self, data: Any, values: Mapping[str, Any], block: str) -> Any:
+    @cached_property
+    def _base(self) -> PlainStudy:
+        return PlainStudy.of(self._study(PlainStudy(self.settings.base, self.settings.base)))
+
+    def _at(self, point: Mapping[str, tuple[str, Any]]) -> PlainStudy:
+        """Study at a grid point, with defaults for missing keys of blocks among the values."""
+        plain = self._with(self._base, {path: value for path, (_, value) in point.items()}, "grid")
+        return PlainStudy.of(self._study(plain)) if point else plain
+
+    def _with(self, plain: PlainStudy, values: Mapping[str, Any], block: str) -> PlainStudy:
         for path, value in values.items():
             try:
-                data = changed(data, path, value)
+                plain = plain.changed(path, value)
             except ConfigError as error:
                 raise ConfigError(f"{place(self.source, block, path)}{block}: {error}") from None
-        return data
+        return plain
 
-    def _study(self, data: Any, *where: str) -> SimulationConfig:
+    def _study(self, plain: PlainStudy, *where: str) -> AnyStudyConfig:
         """Study of plain data; an error names the keys `where`, else those that the error reports."""
-        study = SimulationConfig.parse(
-            data, lambda at: self._located(where or self._blamed([str(part) for part in at]))
-        )
+        study = parse_study(plain.data, lambda at: self._located(where or self._blamed([str(part) for part in at])))
         if study.tune_pid is not None:  # a search per row would cost hundreds of runs
             raise ConfigError(f"{self._located(('base',))}: tune_pid is for `simulate` alone, expected none")
         return study
@@ -154,7 +165,7 @@ class SweepPlan:
 
 
 def _rows(
-    config: SimulationConfig, factors: Mapping[str, Any], number: int, hashes: dict[str, str]
+    config: AnyStudyConfig, factors: Mapping[str, Any], number: int, hashes: dict[str, str]
 ) -> Iterator[SweepRow]:
     files = file_hashes(config, hashes)
     for motion in config.motions:
@@ -174,6 +185,8 @@ def _kind(values: Iterable[Any], names: Iterable[str] | None = None) -> str:
 # Columns of every row besides the factors, in the order of the table.
 ROW_COLUMNS = ("id", "status", "message", "controller", "motion", "draw", "seed")
 RESULT_COLUMNS = tuple(f.name for f in fields(TrackingMetrics) if not f.name.startswith("step_"))
+AXIS_COLUMNS = ("rmse_x_deg", "rmse_y_deg")
+"""Errors of the axes of two, behind that of the tip in their plane."""
 COST_COLUMNS = ("samples", "step_mean_s", "step_p99_s", "wall_s", "cpu_s", "host", "files", "settings")
 _KEPT = 4  # models that a process caches
 
@@ -204,17 +217,29 @@ def run_row(row: SweepRow) -> dict[str, Any]:
 def _figures(row: SweepRow) -> dict[str, Any]:
     if file_hashes(row.config()) != row.files:
         raise ConfigError("a model file has changed since the row was planned")
-    metrics, samples = run_settings(row.config())
-    return {"samples": samples} | metrics_columns(metrics)
+    result = run_settings(row.config())
+    return {"samples": len(result.run.true_deg)} | metrics_columns(result)
 
 
-def run_settings(config: SimulationConfig) -> tuple[TrackingMetrics, int]:
-    """Return metrics and samples of a study with one controller and one motion."""
-    study = prepare(config, shared_knowledge(config))
+def run_settings(config: AnyStudyConfig) -> Result:
+    """Run a study with one controller and one motion."""
+    study = prepared(config)
     ((motion, _),) = study.motions.items()
     ((name, settings),) = study.config.controllers.items()
-    run = study.run(settings, motion)
-    return result_of(study.config, motion, name, run).metrics, len(run.true_deg)
+    return result_of(study.config, motion, name, study.run(settings, motion))
+
+
+def prepared(config: AnyStudyConfig) -> AnyStudy:
+    """Open a study of one axis or of two, see `prepare` and `prepare_two_axes`; opened models are cached."""
+    if isinstance(config, TwoAxisSimulationConfig):
+        return prepare_two_axes(config)
+    return prepare(config, shared_knowledge(config))
+
+
+def result_columns(axes: int) -> tuple[str, ...]:
+    """Names of the figures of a run of one axis or of two, in order."""
+    first, *rest = RESULT_COLUMNS
+    return (first, *(AXIS_COLUMNS if axes > 1 else ()), *rest)
 
 
 def shared_knowledge(config: SimulationConfig) -> ControllerModel:
@@ -228,8 +253,9 @@ def _kept_knowledge(model: str, inverse: str | None, actuator_lag_s: float, file
     return controller_model(model, inverse, actuator_lag_s)
 
 
-def metrics_columns(metrics: TrackingMetrics) -> dict[str, Any]:
-    """Return metrics as columns: those that a repetition reproduces bitwise, and the step times."""
+def metrics_columns(result: Result) -> dict[str, Any]:
+    """Return the metrics of a run as columns: those that a repetition reproduces bitwise, and the step times."""
+    metrics, axes = result.metrics, dict(zip(AXIS_COLUMNS, result.run.axis_rmse_deg, strict=False))
     columns = {name: getattr(metrics, name) for name in RESULT_COLUMNS if name != "ladder"}
     times = {"step_mean_s": metrics.step_mean_s, "step_p99_s": metrics.step_p99_s}
-    return columns | times | {"ladder": canonical(metrics.ladder)}
+    return columns | axes | times | {"ladder": canonical(metrics.ladder)}

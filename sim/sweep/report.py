@@ -18,10 +18,20 @@ from hystmpc.trials.report import REFERENCE, Heading, KeyValues, Paragraph, Piec
 from hystmpc.trials.types import Vec
 
 from ..results import colours
+from .plan import AXIS_COLUMNS
 from .table import Column, table_of
 
 _FEW = ((100.0, (1,)), (8.0, (1, 2, 5)))  # from this ratio of the ends on only these leading digits are shown
-_FIGURES = ("rmse_deg", "max_abs_deg", "hold_error_deg", "command_travel", "limit_violations", "step_mean_s", "cpu_s")
+_FIGURES = (
+    "rmse_deg",
+    *AXIS_COLUMNS,
+    "max_abs_deg",
+    "hold_error_deg",
+    "command_travel",
+    "limit_violations",
+    "step_mean_s",
+    "cpu_s",
+)
 _NAMES = ("id", "status", "message", "controller", "motion", "seed", *_FIGURES)
 _WORST = 20
 _LEVELS = 8  # a factor with more numbers is shown by its quarters
@@ -82,6 +92,11 @@ class SweepView:
         values = self.table[name]
         return ["" if v is None else v if isinstance(v, str) else f"{float(v):.6g}" for v in values]
 
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Columns of the errors of x and y, of two axes; empty of one."""
+        return AXIS_COLUMNS if np.isfinite(self.figures(AXIS_COLUMNS[0])).any() else ()
+
     def figures(self, name: str) -> Vec:
         """Return a column of numbers (N,)."""
         return np.asarray(self.table[name], dtype=np.float64)
@@ -113,17 +128,22 @@ def _facts(view: SweepView, done: SweepView, meta: Mapping[str, Any]) -> dict[st
 
 
 def _overall(done: SweepView) -> Iterator[Piece]:
-    columns = ("motion", "controller", "runs", "median", "mean", "90 %", "worst", "hold, median", "travel, median")
+    axes = done.axes
+    medians = ("median", *(f"{name}, median" for name in "xy"[: len(axes)]))
+    columns = ("motion", "controller", "runs", *medians, "mean", "90 %", "worst", "hold, median", "travel, median")
     rows = []
     for motion in done.names("motion"):
         for controller in done.names("controller"):
             part = done.where("motion", motion).where("controller", controller)
             if (e := part.figures("rmse_deg")).size:
-                errors = _median(e), float(np.mean(e)), float(np.quantile(e, 0.9)), float(np.max(e))
+                each = (_median(part.figures(name)) for name in axes)
+                errors = _median(e), *each, float(np.mean(e)), float(np.quantile(e, 0.9)), float(np.max(e))
                 held, travel = _median(part.figures("hold_error_deg")), _median(part.figures("command_travel"))
                 rows.append((motion, controller, len(part.table["id"]), *errors, held, travel))
     yield Heading("Controllers")
     caption = "RMSE of the tip angle without sensor noise [deg]; error in holds [deg]; command travel [command unit]."
+    if axes:
+        caption = f"Errors are distances of both angles from the reference; x and y: of one angle. {caption}"
     yield Table(columns, rows, caption)
     yield _boxes(done)
 
@@ -201,7 +221,8 @@ def _levels(done: SweepView, path: str, kind: str) -> Iterable[tuple[str, NDArra
 
 def _worst(done: SweepView) -> Iterator[Piece]:
     order = np.argsort(-done.figures("rmse_deg"), kind="stable")[:_WORST]
-    shown = ["id", "controller", "motion", "seed", *done.factors, "rmse_deg", "max_abs_deg", "limit_violations"]
+    errors = ["rmse_deg", *done.axes, "max_abs_deg"]
+    shown = ["id", "controller", "motion", "seed", *done.factors, *errors, "limit_violations"]
     columns = {name: done.table[name] for name in shown}
     rows = [[_cell(columns[name][k]) for name in shown] for k in order]
     yield Heading("Worst runs")

@@ -14,16 +14,16 @@ from hystmpc.trials.run_folder import RunFolder, alone_in, resumed_folder
 from hystmpc.trials.types import Progress
 
 from ..compare import compare
-from ..config import SimulationConfig
 from ..jobs import Backend, run_jobs
+from ..two_axes.config import parse_study
 from .plan import (
     COST_COLUMNS,
-    RESULT_COLUMNS,
     ROW_COLUMNS,
     SweepPlan,
     SweepRow,
     file_hashes,
     metrics_columns,
+    result_columns,
     run_row,
     run_settings,
 )
@@ -97,7 +97,7 @@ def run_sweep(
 
 def columns_of(plan: SweepPlan) -> tuple[str, ...]:
     """Return the names of all columns of the table, in order."""
-    return (*ROW_COLUMNS, *plan.columns(), *RESULT_COLUMNS, *COST_COLUMNS)
+    return (*ROW_COLUMNS, *plan.columns(), *result_columns(plan.axes), *COST_COLUMNS)
 
 
 def open_folder(path: Path, settings: SweepSettings) -> RunFolder:
@@ -143,16 +143,13 @@ def reproduce(folder: Path | str, identity: str, out: Path | str | None = None) 
         HystmpcError: if it cannot be run now.
     """
     row = _row(Path(folder), identity)
-    config = SimulationConfig.parse(json.loads(str(row["settings"])), f"{folder}: row {row['id']}")
+    config = parse_study(json.loads(str(row["settings"])), f"{folder}: row {row['id']}")
     if list(file_hashes(config)) != json.loads(str(row["files"])):
         raise ConfigError(f"{folder}: row {row['id']}: a model file has changed since, expected those of the sweep")
-    if out is not None:
-        metrics = compare(config, out).results[0].metrics
-    else:
-        metrics, _ = run_settings(config)
-    repeated = metrics_columns(metrics)
-    before = {name: math.nan if row[name] is None else row[name] for name in RESULT_COLUMNS}
-    return tuple(ReproducedFigure(name, before[name], repeated[name]) for name in RESULT_COLUMNS)
+    result = run_settings(config) if out is None else compare(config, out).results[0]
+    repeated, names = metrics_columns(result), result_columns(len(result.run.axis_rmse_deg))
+    before = {name: math.nan if row[name] is None else row[name] for name in names}
+    return tuple(ReproducedFigure(name, before[name], repeated[name]) for name in names)
 
 
 def _row(folder: Path, identity: str) -> dict[str, Any]:

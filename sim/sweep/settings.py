@@ -6,6 +6,7 @@ import json
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 from zlib import crc32
@@ -17,7 +18,14 @@ from hystmpc.trials.config import Count, NotNegativeInt, Settings, load_settings
 from hystmpc.trials.errors import ConfigError, did_you_mean
 
 from ..config import SimulationConfig, load_simulation, located
-from ..two_axes.config import file_of_two_axes, says_two_axes
+from ..two_axes.config import (
+    AnyStudyConfig,
+    TwoAxisSimulationConfig,
+    file_of_two_axes,
+    load_two_axis_simulation,
+    located_plane,
+    parse_study,
+)
 
 _SEVERAL = {"anyOf": [{"type": "array", "minItems": 1}, {"type": "object", "minProperties": 1}]}
 _PART = re.compile(r'"([^"]+)"|([^."]+)')
@@ -138,22 +146,22 @@ def with_base(settings: SweepSettings, path: Path) -> SweepSettings:
     return settings.model_copy(update={"base": study.model_dump(mode="json")})
 
 
-def study_of(base: str | dict[str, Any], path: Path) -> SimulationConfig:
-    """Return the study that another settings file names or contains.
+def study_of(base: str | dict[str, Any], path: Path) -> AnyStudyConfig:
+    """Return the study of one axis or of two that another settings file names or contains.
 
     Raises:
-        ConfigError: if it has two axes, or a setting is wrong.
+        ConfigError: if a setting is wrong.
     """
     folder = path.resolve().parent
-    if file_of_two_axes(folder / base) if isinstance(base, str) else says_two_axes(base, folder):
-        raise ConfigError(f"{path}: base: got a study of two axes, expected one axis for a sweep or a tuning")
     if isinstance(base, str):
-        return load_simulation(folder / base)
+        two = file_of_two_axes(folder / base)
+        return load_two_axis_simulation(folder / base) if two else load_simulation(folder / base)
 
     def where(at: Sequence[str | int]) -> str:
         return place_in(path)(("base", *at))
 
-    return located(SimulationConfig.parse(base, where), folder, where)
+    study = parse_study(base, where, folder)
+    return located(study, folder, where) if isinstance(study, SimulationConfig) else located_plane(study, folder)
 
 
 def sweep_in(folder: Path) -> SweepSettings | None:
@@ -183,15 +191,44 @@ def path_parts(path: str) -> tuple[str, ...]:
     return tuple(quoted or plain for quoted, plain in _PART.findall(path))
 
 
-def changed(data: Any, path: str, value: Any) -> Any:
+@dataclass(frozen=True)
+class PlainStudy:
+    """Plain data of a study, and the same with every default: the names that a path may have.
+
+    Of two axes the data holds what was given to the controllers alone: some of their settings that are left out follow
+    from what joins the axes.
+    """
+
+    data: Any
+    known: Any
+
+    @classmethod
+    def of(cls, study: AnyStudyConfig) -> PlainStudy:
+        """Plain data of a study."""
+        data = study.model_dump(mode="json")
+        if not isinstance(study, TwoAxisSimulationConfig):
+            return cls(data, data)
+        whole = {name: one.model_dump(mode="json") for name, one in study.controllers.items()}
+        return cls(data, {**data, "controllers": whole})
+
+    def changed(self, path: str, value: Any) -> PlainStudy:
+        """The same with one value replaced, see `changed`."""
+        data = changed(self.data, path, value, self.known)
+        return PlainStudy(data, data if self.known is self.data else changed(self.known, path, value))
+
+
+def changed(data: Any, path: str, value: Any, known: Any = None) -> Any:
     """Return a copy of plain data with one value replaced.
 
     The block of the value has to exist, so that a wrong name is detected; a block that is null counts as empty.
 
+    Args:
+        known: data whose keys exist, if `data` leaves some of them out.
+
     Raises:
         ConfigError: if a block does not exist; names the nearest key.
     """
-    return _changed(data, path_parts(path), value, path)
+    return _changed(data, data if known is None else known, path_parts(path), value, path)
 
 
 def value_at(data: Any, path: str) -> Any:
@@ -205,19 +242,19 @@ def value_at(data: Any, path: str) -> Any:
     return data
 
 
-def _changed(data: Any, parts: Sequence[str], value: Any, path: str) -> Any:
+def _changed(data: Any, known: Any, parts: Sequence[str], value: Any, path: str) -> Any:
     if not parts:
         return value
     first, rest = parts[0], parts[1:]
-    if isinstance(data, list):
-        place = _index(data, first, path)
-        return [_changed(old, rest, value, path) if k == place else old for k, old in enumerate(data)]
-    if data is None and not rest:
+    if isinstance(known, list):
+        place, rows = _index(known, first, path), data if isinstance(data, list) else known
+        return [_changed(old, known[k], rest, value, path) if k == place else old for k, old in enumerate(rows)]
+    if known is None and not rest:
         return {first: value}
-    if not isinstance(data, dict):
-        raise ConfigError(f"{path}: {first!r} would be set in the value {data!r}, expected a mapping or a list")
-    held = _blocks(data, first, path)[first] if rest else None
-    return {**data, first: _changed(held, rest, value, path)}
+    if not isinstance(known, dict):
+        raise ConfigError(f"{path}: {first!r} would be set in the value {known!r}, expected a mapping or a list")
+    held, data = _blocks(known, first, path)[first] if rest else None, data or {}
+    return {**data, first: _changed(data.get(first), held, rest, value, path)}
 
 
 def _blocks(data: Any, key: str, path: str) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.optimize import OptimizeResult, differential_evolution
@@ -13,7 +14,7 @@ from hystmpc.ctrl.feedback import InversePidControllerSettings, PidControllerSet
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Progress, Vec, parts
 
-from ..study import Study
+from ..two_axes.study import AnyStudy
 
 PidLike = PidControllerSettings | InversePidControllerSettings
 _PER_PARAMETER = 3
@@ -32,10 +33,10 @@ class PidTuning:
     evaluations: int
 
 
-def tuned_gains(study: Study, settings: PidLike, progress: Progress | None = None) -> PidTuning:
+def tuned_gains(study: AnyStudy, settings: PidLike, progress: Progress | None = None) -> PidTuning:
     """Search the gains that track all motions of a study best, by seeded differential evolution.
 
-    J = mean over motions of mean_k (theta_k - r_k)^2 with the true angle theta, so the result is the strongest
+    J = mean over motions of mean_k |theta_k - r_k|^2 with the true angle theta, so the result is the strongest
     competitor of a model-based controller, not a prediction for another device. The noise has the study's deviation but
     is another realisation, so that the comparison is not biased towards these gains. The given gains belong to the
     first population, so that the result is never worse.
@@ -50,9 +51,10 @@ def tuned_gains(study: Study, settings: PidLike, progress: Progress | None = Non
     search = study.config.tune_pid
     if search is None:
         raise ConfigError("tune_pid: got none, expected settings of the search")
-    study = replace(study, plant=study.plant.reseeded(study.config.seed + 1))
+    changes: dict[str, Any] = {"plant": study.plant.reseeded(study.config.seed + 1)}
+    other = replace(study, **changes)
     return searched_gains(
-        settings, lambda tried: mean_square_of(study, tried), search.evaluations, study.config.seed, progress
+        settings, lambda tried: mean_square_of(other, tried), search.evaluations, study.config.seed, progress
     )
 
 
@@ -100,7 +102,7 @@ def searched_gains(
     return PidTuning(with_gains(settings, optimum.x), rmse_deg, start_deg, int(optimum.nfev))
 
 
-def tuned_study(study: Study, progress: Progress | None = None) -> Study:
+def tuned_study(study: AnyStudy, progress: Progress | None = None) -> AnyStudy:
     """Return the study with tuned gains of every `pid` and `inverse_pid`; the result contains no further search."""
     if study.config.tune_pid is None:
         return study
@@ -108,8 +110,9 @@ def tuned_study(study: Study, progress: Progress | None = None) -> Study:
     searches = zip(chosen.items(), parts(progress, [1.0] * len(chosen)), strict=True)
     tuned = {name: tuned_gains(study, settings, part).settings for (name, settings), part in searches}
     controllers = {**study.config.controllers, **tuned}
-    changes = {"controllers": controllers, "tune_pid": None, "tuned": tuple(tuned)}
-    return replace(study, config=study.config.model_copy(update=changes))
+    resulting = {"controllers": controllers, "tune_pid": None, "tuned": tuple(tuned)}
+    changes: dict[str, Any] = {"config": study.config.model_copy(update=resulting)}
+    return replace(study, **changes)
 
 
 def with_gains(settings: PidLike, x: Vec) -> PidLike:
@@ -128,7 +131,7 @@ def _point(settings: PidLike) -> Vec:
     return np.array([*kp_ki, gains.kd_s_per_deg, gains.dead_zone_deg])
 
 
-def mean_square_of(study: Study, settings: AnyControllerSettings) -> float:
-    """Compute the mean over motions of the mean square true error of a controller [deg^2]."""
-    runs = [study.run(settings, motion) for motion in study.motions]
-    return float(np.mean([np.mean(run.counted_deg**2) for run in runs]))
+def mean_square_of(study: AnyStudy, settings: AnyControllerSettings) -> float:
+    """Compute the mean over motions of the mean square true error of a controller [deg^2]; of two axes the distance."""
+    errors = [study.run(settings, motion).counted_deg for motion in study.motions]
+    return float(np.mean([np.mean(e**2) * (e.shape[1] if e.ndim > 1 else 1) for e in errors]))

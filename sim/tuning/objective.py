@@ -13,14 +13,17 @@ import numpy as np
 from hystmpc.ctrl.config import AnyControllerSettings
 from hystmpc.trajectories import PreviewTable
 from hystmpc.trials.brief import in_brief
+from hystmpc.trials.errors import ModelError
 from hystmpc.trials.types import Progress, Vec
 
 from ..config import SimulationConfig
 from ..jobs import Backend, run_jobs
 from ..results import result_of
-from ..study import Study, prepare
-from ..sweep.plan import shared_knowledge
-from ..sweep.settings import changed, drawn
+from ..study import Study
+from ..sweep.plan import prepared
+from ..sweep.settings import PlainStudy, drawn
+from ..two_axes.config import AnyStudyConfig, parse_study
+from ..two_axes.study import AnyStudy
 from .settings import ObjectiveSettings, PlantsSettings, TuneSettings
 
 if TYPE_CHECKING:
@@ -40,34 +43,37 @@ class PlantScore:
     error_deg: float  # root mean square error [deg]
     travel: float  # command travel relative to the need of the motions; 1 is the least
     violations: int  # samples beyond a limit
+    axes_deg: tuple[float, ...] = ()  # root mean square errors of x and y of two axes [deg]
 
 
 def plant_config(
     settings: TuneSettings, plants: PlantsSettings, number: int, controller: AnyControllerSettings
-) -> SimulationConfig:
+) -> AnyStudyConfig:
     """Return the study of plant `number` of a set."""
-    data = settings.base
+    plain = PlainStudy.of(settings.study)
     for path, value in drawn(settings.draw, plants.seed, number).items():
-        data = changed(data, path, value)
-    study = SimulationConfig.parse(data, f"plant {number}")
+        plain = plain.changed(path, value)
+    study = parse_study(plain.data, f"plant {number}")
     # Every plant has its own realisation of the noise, different from those of other sets.
     seed = int(np.random.SeedSequence([plants.seed, number]).generate_state(1)[0])
     return study.model_copy(update={"seed": seed, "controllers": {str(settings.controller): controller}})
 
 
-def plant_score(config: SimulationConfig) -> PlantScore:
+def plant_score(config: AnyStudyConfig) -> PlantScore:
     """Compute the score of one controller along every motion."""
-    study = prepare(config, shared_knowledge(config))
+    study = prepared(config)
     ((name, controller),) = study.config.controllers.items()
-    squares, travel, need, beyond = [], 0.0, 0.0, 0
+    squares, axes, travel, need, beyond = [], [], 0.0, 0.0, 0
     for motion in study.motions:
         run = study.run(controller, motion)
         metrics = result_of(study.config, motion, name, run).metrics
         squares.append(metrics.rmse_deg**2)
+        axes.append(np.square(run.axis_rmse_deg))
         travel += metrics.command_travel
         need += needed_travel(study, motion)
         beyond += metrics.limit_violations
-    return PlantScore(math.sqrt(float(np.mean(squares))), travel / max(need, 1e-9), beyond)
+    each = tuple(np.sqrt(np.mean(axes, axis=0)).tolist())
+    return PlantScore(math.sqrt(float(np.mean(squares))), travel / max(need, 1e-9), beyond, each)
 
 
 def loops_around(settings: TuneSettings, controllers: Mapping[str, AnyControllerSettings]) -> LoopsAnalysis:
@@ -82,6 +88,8 @@ def loops_around(settings: TuneSettings, controllers: Mapping[str, AnyController
     from hystmpc.models.load import load_model, model_path
 
     study = settings.study
+    if not isinstance(study, SimulationConfig):
+        raise ModelError("loops: got a study of two axes, expected one axis")
     model = load_model(model_path(study.model), "conditioned")
     limits = modelled_limits(study.limits, limits_of_model(model.metadata))
     tolerance = {} if settings.margins is None else {"tolerance_deg": settings.margins.cycle_deg}
@@ -101,11 +109,14 @@ def margin_penalty(settings: TuneSettings, controller: AnyControllerSettings) ->
     return wanted.penalty_deg * sum(missed)
 
 
-def needed_travel(study: Study, motion: str) -> float:
+def needed_travel(study: AnyStudy, motion: str) -> float:
     """Command travel of the model's inverse along a motion, without feedback and noise [command unit].
 
-    sum_k |u_k - u_{k-1}| with u_k = inverse(x_k, r_k) within the limits, from the plant's rest.
+    sum_k |u_k - u_{k-1}| with u_k = inverse(x_k, r_k) within the limits, from the plant's rest; of two axes over all
+    commands.
     """
+    if not isinstance(study, Study):
+        return study.needed_travel(motion)
     predictor, inverse = study.model.feedforward
     reference = PreviewTable(study.motions[motion], predictor.dt, 1)
     u, travel = study.plant.rest_command, 0.0
@@ -172,14 +183,23 @@ class HeldOut:
         """Number of plants on which the tuned settings have the lower cost."""
         return int(np.sum(self.costs("tuned") < self.costs("given")))
 
-    def rows(self) -> list[tuple[str, float, float, float, float, int]]:
-        """Return name, objective, mean error, error on the worst plant, mean travel, plants with a violation."""
+    @property
+    def axes(self) -> str:
+        """Names of the axes of two; empty of one."""
+        return "xy"[: len(self.given[0].axes_deg)]
+
+    def rows(self) -> list[tuple[Any, ...]]:
+        """Return name, objective, mean error, error on the worst plant, mean travel, plants with a violation.
+
+        Of two axes the mean error is followed by those of x and of y.
+        """
         rows = []
         for name in _NAMES:
             scores: tuple[PlantScore, ...] = getattr(self, name)
             errors, travel = self.errors(name), float(np.mean([score.travel for score in scores]))
             beyond = sum(score.violations > 0 for score in scores)
-            rows.append((name, self.value(name), float(errors.mean()), float(errors.max()), travel, beyond))
+            means = float(errors.mean()), *np.mean([score.axes_deg for score in scores], axis=0).tolist()
+            rows.append((name, self.value(name), *means, float(errors.max()), travel, beyond))
         return rows
 
     def columns(self) -> dict[str, Any]:
@@ -188,6 +208,8 @@ class HeldOut:
         for name in _NAMES:
             scores: tuple[PlantScore, ...] = getattr(self, name)
             table[f"{name}_error_deg"] = self.errors(name)
+            for k, axis in enumerate(self.axes):
+                table[f"{name}_error_{axis}_deg"] = np.array([score.axes_deg[k] for score in scores])
             table[f"{name}_cost_deg"] = self.costs(name)
             table[f"{name}_travel"] = np.array([score.travel for score in scores])
             table[f"{name}_violations"] = np.array([score.violations for score in scores])
@@ -277,6 +299,7 @@ class Tuning:
     def _repr_html_(self) -> str:
         from hystmpc.trials.report import KeyValues, Plot, Report, Table
 
-        columns = ("settings", "objective [deg]", "mean error [deg]", "worst plant [deg]", "travel", "violations")
+        means = ("mean error [deg]", *(f"mean error {axis} [deg]" for axis in self.check.axes))
+        columns = ("settings", "objective [deg]", *means, "worst plant [deg]", "travel", "violations")
         pieces = Table(columns, self.check.rows()), KeyValues(dict(self.best.values)), Plot(self.plot())
         return Report(f"Tuning of {self.settings.controller}", pieces, "plants not seen in the search").fragment()

@@ -15,7 +15,7 @@ from optuna.trial import FrozenTrial, TrialState
 
 from hystmpc.trials.errors import ConfigError, HystmpcError
 
-from ..sweep.settings import DrawSettings, label, value_at
+from ..sweep.settings import DrawSettings, label
 from .objective import SearchTrial, SlotOutcome, State, margin_penalty, plant_config, plant_cost, plant_score, robust
 from .settings import TuneSettings
 
@@ -120,7 +120,7 @@ def _value(settings: TuneSettings, study: optuna.Study, trial: optuna.Trial, slo
         raise _TakenError(f"slot {slot} is done elsewhere")
     values = {path: _suggested(trial, path, one) for path, one in settings.search.items()}
     if slot == 0:
-        values = given_values(settings)
+        values = settings.given_values
     controller = settings.with_values(values)
     trial.set_user_attr("values", values)
     errors, costs, travels = [], [], []
@@ -137,12 +137,6 @@ def _value(settings: TuneSettings, study: optuna.Study, trial: optuna.Trial, slo
         if number + 1 < settings.plants.count and trial.should_prune():
             raise optuna.TrialPruned
     return robust(costs, settings.objective)
-
-
-def given_values(settings: TuneSettings) -> dict[str, Any]:
-    """Return the searched settings at their given values."""
-    given = settings.given.model_dump(mode="json")
-    return {path: value_at(given, path) for path in settings.search}
 
 
 def _suggested(trial: optuna.Trial, path: str, one: DrawSettings) -> Any:
@@ -165,7 +159,7 @@ def _sampler(settings: TuneSettings, slot: int) -> optuna.samplers.BaseSampler:
         return sampler
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ExperimentalWarning)
-        return optuna.samplers.PartialFixedSampler(_clipped(given_values(settings), settings.search), sampler)
+        return optuna.samplers.PartialFixedSampler(_clipped(settings.given_values, settings.search), sampler)
 
 
 def _clipped(values: Mapping[str, Any], search: Mapping[str, DrawSettings]) -> dict[str, Any]:

@@ -35,9 +35,8 @@ from hystmpc.trials.types import Progress, parts
 
 from ..jobs import Backend, run_jobs
 from ..sweep.report import plain_log
-from ..sweep.settings import value_at
 from .objective import SearchTrial, SlotOutcome, Tuning, held_out, loops_around, pareto_front
-from .settings import TuneSettings
+from .settings import TuneSettings, plain_controller
 
 _REPORT_RUNS = 4  # runs of a plant that take as long as the report
 _WAIT_S = 3.0  # time between two checks for trials of other processes
@@ -147,7 +146,7 @@ def _write(folder: RunFolder, tuning: Tuning) -> None:
     settings, check = tuning.settings, tuning.check
     tuned = settings.with_values(dict(tuning.best.values))
     head = f"# Tuned by hystmpc over {settings.plants.count} plants: trial {tuning.best.slot} of {settings.trials}.\n"
-    write_atomically(folder.path / "controller.yaml", head + dump_yaml(tuned.model_dump(mode="json")))
+    write_atomically(folder.path / "controller.yaml", head + dump_yaml(plain_controller(tuned, settings.study)))
     study = settings.study.model_copy(update={"controllers": {"given": settings.given, "tuned": tuned}})
     write_atomically(folder.path / "study.yaml", dump_yaml(study.model_dump(mode="json")))
     rows = [(t.slot, t.state, t.value, t.error_deg, t.travel, t.plants) for t in tuning.trials]
@@ -159,7 +158,6 @@ def _write(folder: RunFolder, tuning: Tuning) -> None:
     folder.write_report(tuning_report(tuning, folder.meta))
 
 
-_COLUMNS = ("settings", "objective [deg]", "mean error [deg]", "worst plant [deg]", "travel", "plants with violations")
 _PER_ROW = 3
 
 
@@ -167,6 +165,8 @@ def tuning_report(tuning: Tuning, meta: Mapping[str, Any]) -> Report:
     """Make the report of a tuning."""
     settings, check = tuning.settings, tuning.check
     low, high = check.interval()
+    means = ("mean error [deg]", *(f"mean error {axis} [deg]" for axis in check.axes))
+    columns = ("settings", "objective [deg]", *means, "worst plant [deg]", "travel", "plants with violations")
     verdict = (
         f"On {len(check.given)} plants that the search has not seen the objective falls by {100 * check.gain:.1f} % "
         f"(90 % interval over plants {100 * low:.1f} to {100 * high:.1f} %); {check.better} of them cost less."
@@ -174,7 +174,7 @@ def tuning_report(tuning: Tuning, meta: Mapping[str, Any]) -> Report:
     pieces: list[Piece] = [
         Heading("Plants not seen"),
         Paragraph(verdict),
-        Table(_COLUMNS, check.rows(), "Error: RMSE of the true tip angle over all motions. Travel: over the need."),
+        Table(columns, check.rows(), "Error: RMSE of the true tip angle over all motions. Travel: over the need."),
         Plot(tuning.plot(), "Cost of every held-out plant; below the line the tuned settings win."),
         Heading("Settings found"),
         _values(tuning),
@@ -188,7 +188,9 @@ def tuning_report(tuning: Tuning, meta: Mapping[str, Any]) -> Report:
         Plot(_slices(tuning), "Objective over every searched setting; vertical: the setting taken."),
     ]
     given, tuned = settings.given, settings.with_values(dict(tuning.best.values))
-    pieces += [Heading("Loops around the model"), *loops_around(settings, {"given": given, "tuned": tuned}).summary()]
+    if not check.axes:  # the analysis of loops is of one axis
+        loops = loops_around(settings, {"given": given, "tuned": tuned})
+        pieces += [Heading("Loops around the model"), *loops.summary()]
     if tuning.failed:
         rows = [(outcome.slot, outcome.message) for outcome in tuning.failed]
         pieces.append(Table(("trial", "error"), rows, "Trials that raised; the same command tries them again."))
@@ -210,11 +212,10 @@ def _facts(tuning: Tuning, meta: Mapping[str, Any]) -> dict[str, object]:
 
 
 def _values(tuning: Tuning) -> Table:
-    given = tuning.settings.given.model_dump(mode="json")
-    rows = []
+    given, rows = tuning.settings.given_values, []
     for path, value in tuning.best.values.items():
         ends = tuning.settings.search[path].ends
-        rows.append((path, value_at(given, path), value, " to ".join(map(str, ends[:: max(1, len(ends) - 1)]))))
+        rows.append((path, given[path], value, " to ".join(map(str, ends[:: max(1, len(ends) - 1)]))))
     return Table(("setting", "given", "tuned", "searched"), rows, f"Trial {tuning.best.slot}; controller.yaml has all.")
 
 

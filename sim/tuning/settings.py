@@ -8,13 +8,15 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from hystmpc.ctrl.config import AnyControllerSettings, parse_controller
+from hystmpc.models.two_axes.model import load_two_axes
 from hystmpc.trials.config import Count, NotNegative, NotNegativeInt, Settings
 from hystmpc.trials.errors import ConfigError, did_you_mean
 from hystmpc.trials.json_text import json_hash
 
-from ..config import PlantSettings, SimulationConfig
+from ..config import PlantSettings
 from ..plants.device import varied_parameters
-from ..sweep.settings import DrawSettings, changed, place, study_of, value_at
+from ..sweep.settings import DrawSettings, PlainStudy, changed, path_parts, place, study_of, value_at
+from ..two_axes.config import AnyStudyConfig, TwoAxisPlantSettings, TwoAxisSimulationConfig, parse_study
 
 _ESTIMATOR = {
     "estimator.sensor_sigma_deg": DrawSettings(log_uniform=(0.03, 1.0)),
@@ -48,6 +50,7 @@ SPACES: dict[str, dict[str, DrawSettings]] = {
 _LAG_S = (0.0, 0.15)
 _NOISE_DEG = (0.05, 0.3)
 _FACTOR = (0.9, 1.1)
+_FROM_MODEL = ("weights.rate", "weights.rate_close")  # of two axes they follow from the model where left out
 
 
 def default_space(settings: AnyControllerSettings) -> dict[str, DrawSettings]:
@@ -61,10 +64,17 @@ def default_space(settings: AnyControllerSettings) -> dict[str, DrawSettings]:
     return dict(SPACES[settings.kind])
 
 
-def default_draws(plant: PlantSettings) -> dict[str, DrawSettings]:
-    """Return the default distributions: lag, noise, and plus or minus a tenth for each parameter that varies."""
+def default_draws(plant: PlantSettings | TwoAxisPlantSettings) -> dict[str, DrawSettings]:
+    """Return the default distributions: lag, noise, and plus or minus a tenth for each parameter that varies.
+
+    Raises:
+        ModelError: if the plant's file is missing or unusable.
+    """
     draws = {"plant.lag_s": DrawSettings(uniform=_LAG_S), "plant.noise_deg": DrawSettings(uniform=_NOISE_DEG)}
     factor = DrawSettings(uniform=_FACTOR)
+    if isinstance(plant, TwoAxisPlantSettings):
+        axes = zip("xy", load_two_axes(plant.simulator).axes, strict=True)
+        return draws | {f'plant.{n}.mismatch."{label}"': factor for n, axis in axes for label in axis.chain.labels}
     return draws | {f'plant.mismatch."{label}"': factor for label in varied_parameters(plant)}
 
 
@@ -155,9 +165,9 @@ class TuneSettings(Settings):
         return self
 
     @property
-    def study(self) -> SimulationConfig:
-        """Return the study, with the tuned controller alone."""
-        return SimulationConfig.parse(self.base, "base")
+    def study(self) -> AnyStudyConfig:
+        """Return the study of one axis or of two, with the tuned controller alone."""
+        return parse_study(self.base, "base")
 
     @property
     def given(self) -> AnyControllerSettings:
@@ -175,11 +185,25 @@ class TuneSettings(Settings):
         """Name of the search in its storage."""
         return f"hystmpc-{self.fingerprint}"
 
+    @property
+    def given_values(self) -> dict[str, Any]:
+        """Return the searched settings at their given values; None for one that follows from the model of two axes."""
+        given, study = self.given, self.study
+        plain, values = given.model_dump(mode="json"), dict[str, Any]()
+        for path in self.search:
+            values[path] = value_at(plain, path)
+            if isinstance(study, TwoAxisSimulationConfig) and path in _FROM_MODEL and not _is_set(given, path):
+                values[path] = None
+        return values
+
     def with_values(self, values: dict[str, Any]) -> AnyControllerSettings:
-        """Return the controller with some settings changed."""
-        data: Any = self.given.model_dump(mode="json")
+        """Return the controller with some settings changed; of two axes those that are left out stay so."""
+        study = self.study
+        data: Any = plain_controller(self.given, study)
+        given = self.given_values if isinstance(study, TwoAxisSimulationConfig) else {}
         for path, value in values.items():
-            data = changed(data, path, value)
+            if path not in given or value != given[path]:
+                data = changed(data, path, value, self.given.model_dump(mode="json"))
         return parse_controller(data, "controller")
 
 
@@ -206,7 +230,21 @@ def complete(settings: TuneSettings, path: Path) -> TuneSettings:
     return completed
 
 
-def _chosen(name: str | None, study: SimulationConfig, path: Path) -> str:
+def plain_controller(settings: AnyControllerSettings, study: AnyStudyConfig) -> dict[str, Any]:
+    """Plain data of a controller in a study; of two axes what was given alone, see `TwoAxisSimulationConfig`."""
+    return settings.model_dump(mode="json", exclude_unset=isinstance(study, TwoAxisSimulationConfig))
+
+
+def _is_set(settings: AnyControllerSettings, path: str) -> bool:
+    """Whether a setting was given."""
+    block: Any = settings
+    *blocks, last = path_parts(path)
+    for name in blocks:
+        block = getattr(block, name, None)
+    return block is not None and last in block.model_fields_set
+
+
+def _chosen(name: str | None, study: AnyStudyConfig, path: Path) -> str:
     if name is None and len(study.controllers) == 1:
         return next(iter(study.controllers))
     if name not in study.controllers:
@@ -217,7 +255,9 @@ def _chosen(name: str | None, study: SimulationConfig, path: Path) -> str:
 
 
 def _check(settings: TuneSettings, path: Path) -> None:
-    given = settings.given.model_dump(mode="json")
+    given, plain = settings.given.model_dump(mode="json"), PlainStudy.of(settings.study)
+    if settings.margins is not None and isinstance(settings.study, TwoAxisSimulationConfig):
+        raise ConfigError(f"{place(path, 'margins')}margins: got a study of two axes, expected none: loops of one axis")
     for block, ranges in (("search", settings.search), ("draw", settings.draw)):
         for key, one in ranges.items():
             try:
@@ -226,6 +266,6 @@ def _check(settings: TuneSettings, path: Path) -> None:
                         value_at(given, key)
                         settings.with_values({key: end})
                     else:
-                        SimulationConfig.parse(changed(settings.base, key, end), "study")
+                        parse_study(plain.changed(key, end).data, "study")
             except ConfigError as error:
                 raise ConfigError(f"{place(path, block, key)}{block}: {error}") from None

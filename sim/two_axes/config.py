@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -16,9 +16,9 @@ from hystmpc.trajectories.config import MotionInPlane
 from hystmpc.trials.config import FolderName, NotNegative, NotNegativeInt, Settings, load_settings, read_yaml
 from hystmpc.trials.errors import ConfigError
 
-from ..config import EffectSettings
+from ..config import EffectSettings, SimulationConfig, TuningSettings, one_run
 
-_ONE_AXIS = ("inverse", "actuator_lag_s", "sensor", "tune_pid", "tuned")
+_ONE_AXIS = ("inverse", "actuator_lag_s", "sensor")
 
 
 class AxisChangesSettings(Settings):
@@ -73,6 +73,8 @@ class TwoAxisSimulationConfig(Settings):
         limits: hard limits of the commands; those of the model where left out.
         approach: lead the tip from the plant's rest to the start of a motion that starts far from it; this part does
             not count.
+        tune_pid: search the gains of every `pid` and `inverse_pid` first; where left out the given gains are used.
+        tuned: controllers whose gains such a search has found; a run writes them here beside the gains.
         seed: of the sensor noise.
     """
 
@@ -83,6 +85,8 @@ class TwoAxisSimulationConfig(Settings):
     controllers: dict[FolderName, ControllerSettings] = Field(min_length=1)
     limits: TwoAxisLimitsSettings | None = None
     approach: bool = True
+    tune_pid: TuningSettings | None = None
+    tuned: tuple[FolderName, ...] = ()
     seed: NotNegativeInt = 0
 
     @model_validator(mode="before")
@@ -99,8 +103,7 @@ class TwoAxisSimulationConfig(Settings):
 
     def narrowed(self, controller: str, motion: str) -> Self:
         """Return the study with one controller and one motion alone."""
-        one = {"motions": {motion: self.motions[motion]}, "controllers": {controller: self.controllers[controller]}}
-        return self.model_copy(update=one)
+        return self.model_copy(update=one_run(self, controller, motion))
 
     def command_limits(self) -> tuple[CommandLimits, ...]:
         """Limits of every command.
@@ -112,6 +115,21 @@ class TwoAxisSimulationConfig(Settings):
             raise ConfigError("limits: got none, expected those of a run's resolved settings")
         rows = zip(self.limits.lower, self.limits.upper, self.limits.rate_per_s, strict=True)
         return tuple(CommandLimits(*row) for row in rows)
+
+
+AnyStudyConfig = SimulationConfig | TwoAxisSimulationConfig
+
+
+def parse_study(
+    data: Any, where: str | Callable[[Sequence[str | int]], str], folder: Path | None = None
+) -> AnyStudyConfig:
+    """Study of plain data, of one axis or of two; a relative name of its model starts at `folder`.
+
+    Raises:
+        ConfigError: on an unknown key or a value out of bounds; begins with `where`.
+    """
+    kind = TwoAxisSimulationConfig if says_two_axes(data, folder or Path()) else SimulationConfig
+    return kind.parse(data, where)
 
 
 def says_two_axes(data: Any, folder: Path) -> bool:
@@ -135,6 +153,10 @@ def load_two_axis_simulation(path: Path | str, overrides: Iterable[str] = ()) ->
     Raises:
         ConfigError: on an unreadable file, a malformed override, an unknown key or a value out of bounds.
     """
-    config, folder = load_settings(TwoAxisSimulationConfig, path, tuple(overrides)), Path(path).resolve().parent
+    return located_plane(load_settings(TwoAxisSimulationConfig, path, tuple(overrides)), Path(path).resolve().parent)
+
+
+def located_plane(config: TwoAxisSimulationConfig, folder: Path) -> TwoAxisSimulationConfig:
+    """Return the study with absolute file names, relative ones starting at `folder`."""
     plant = config.plant.model_copy(update={"simulator": str(folder / config.plant.simulator)})
     return config.model_copy(update={"plant": plant, "model": str(folder / config.model)})

@@ -13,13 +13,15 @@ from hystmpc.ctrl.config import AnyControllerSettings
 from hystmpc.ctrl.loop import LoopSample
 from hystmpc.ctrl.two_axes.guarded import TwoAxisController
 from hystmpc.ctrl.two_axes.tip_controller import TwoAxisLimitsSettings, within_limits
+from hystmpc.models.prediction.build import controller_model
+from hystmpc.models.simulator import ChainModel
 from hystmpc.models.two_axes.model import AXES, TwoAxisModel, load_two_axes
 from hystmpc.trajectories import PreviewTable
 from hystmpc.trajectories.plane import PlaneMotion, after_approach
 from hystmpc.trials.errors import ConfigError, ControllerError, TrajectoryError
 from hystmpc.trials.types import Vec
 
-from ..study import ClosedLoopRun, run_closed_loop
+from ..study import ClosedLoopRun, Study, run_closed_loop
 from .config import TwoAxisSimulationConfig
 from .plant import TwoAxisPlant
 
@@ -72,9 +74,31 @@ class TwoAxisStudy:
             if gap > _BEYOND_DEG
         )
 
+    def needed_travel(self, motion: str) -> float:
+        """Command travel of the model's inverse along a motion, without feedback and noise [command unit].
+
+        Both axes are inverted in their own coordinates, without the friction that they share.
+        """
+        pairs = [controller_model(ChainModel(axis, "conditioned")).feedforward for axis in self.model.axes]
+        limits, dt_s, u = self.config.command_limits(), self.plant.dt, self.plant.rest_command
+        reference, travel, w = PreviewTable(cast(Any, self.motions[motion]), dt_s, 1), 0.0, self.model.travels(u)
+        y = self.model.in_axes(reference.at(0)[0])
+        states = [predictor.initial(float(y[i]), float(w[i])) for i, (predictor, _) in enumerate(pairs)]
+        for k in range(reference.steps):
+            y = self.model.in_axes(reference.at(k)[0])
+            wanted = [inverse.command(states[i], float(y[i]), float(w[i])) for i, (_, inverse) in enumerate(pairs)]
+            sent = zip(limits, self.model.commands(wanted).tolist(), u.tolist(), strict=True)
+            now = np.array([one.clip(value, last, dt_s) for one, value, last in sent])
+            travel, u, w = travel + float(np.abs(now - u).sum()), now, self.model.travels(now)
+            states = [predictor.advance(states[i], float(w[i]))[1] for i, (predictor, _) in enumerate(pairs)]
+        return travel
+
     def steps(self, motion: str) -> int:
         """Number of samples of a motion."""
         return PreviewTable(self.motions[motion], self.plant.dt, 1).steps
+
+
+AnyStudy = Study | TwoAxisStudy
 
 
 def prepare_two_axes(config: TwoAxisSimulationConfig) -> TwoAxisStudy:

@@ -29,6 +29,7 @@ PLANE: dict[str, Any] = {
     "sensor": {"lower_deg": -60, "upper_deg": 60},
     "commission": {
         "minutes": 7.0,
+        "diagnose": False,
         "tune_evaluations": 24,
         "range_steps": 5,
         "motions": {"circle": {"kind": "circle", "centre": [0, 0], "radius": 10, "period_s": 3}},

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hystmpc.bench.commission import NAMES, commission_logs
+from hystmpc.bench.commission import NAMES
 from hystmpc.bench.config import PlaneCommissionSettings, narrowed
 from hystmpc.bench.device import BenchDevice, DeviceStoppedError, plants_in
 from hystmpc.bench.motions import recordings, shaken
 from hystmpc.bench.phases import Bounded, Climb, Dash
-from hystmpc.bench.stages import EndedEarlyError, Stages, write_recording
+from hystmpc.bench.stages import EndedEarlyError, Stages
 from hystmpc.rig.recording.recording import RecordingMeta, open_recording
 from hystmpc.rig.recording.sample import Sink
 from hystmpc.rig.run import reset_latch
@@ -225,12 +225,10 @@ def test_recordings_keep_to_a_range_that_is_narrower_than_the_limits(tmp_path: P
     [
         (["commission", "--set", "commission.minutes=11"], "less than or equal to 10"),
         (["commission", "--set", "commission.minutes=2"], "expected more minutes (at most 10)"),
-        (["commission", "--set", "commission.diagnose=true"], "expected false for two axes"),
         (
             ["commission", "--set", "safe_command=0"],
             "safe_command: expected a list [x, y], a number",
         ),
-        (["investigate"], "investigate: got a bench of two axes, expected one axis"),
     ],
 )
 def test_what_is_refused_is_one_line(
@@ -244,13 +242,3 @@ def test_what_is_refused_is_one_line(
     assert code == 2
     assert expected in " ".join(said.split())
     assert not (tmp_path / "run").exists()
-
-
-@pytest.mark.parametrize("with_bench", [True, False])
-def test_logs_of_two_axes_are_refused_before_a_folder_is_made(with_bench: bool, tmp_path: Path) -> None:
-    bench = plane_settings(tmp_path)
-    trial = spied_plane(bench, tmp_path, []).play("2-record/one", np.zeros((60, 2)), bench)
-    log = write_recording(trial, tmp_path / "log.csv")
-    with pytest.raises(ConfigError, match=r"logs: got two axes, expected .* one axis"):
-        commission_logs([log], tmp_path / "out", bench if with_bench else None)
-    assert not (tmp_path / "out").exists()

@@ -12,7 +12,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import hystmpc
-from hystmpc.models.two_axes.model import load_two_axes
 from hystmpc.sim.results import load_results, tracking_metrics
 from hystmpc.sim.two_axes.columns import apart, together
 from hystmpc.sim.two_axes.config import TwoAxisPlantSettings
@@ -147,7 +146,7 @@ def test_where_the_device_is_the_model_prediction_is_nearly_exact(tmp_path: Path
     ("change", "words"),
     [
         ({"sensor": {"kind": "none"}}, "got sensor and a model of two axes"),
-        ({"tune_pid": {}}, "got tune_pid"),
+        ({"tune_pid": {"evaluation": 3}}, "unknown key.*did you mean 'evaluations'"),
         ({"motions": {"scan": {"kind": "scan_sinusoid"}}}, "none of two axes"),
         (
             {"motions": {"c": {"kind": "circle", "centre": [0, 0], "radius": 9, "period_s": 2, "length_mm": 10}}},
@@ -189,15 +188,3 @@ def test_tendons_are_refused_in_a_line(tmp_path: Path) -> None:
     given_ = study(tmp_path)
     with pytest.raises(ConfigError, match="a model of 4 commands"):
         hystmpc.simulate(given_ | {"model": str(four.save(tmp_path / "four.yaml"))})
-
-
-def test_a_study_of_two_axes_is_no_base_of_a_sweep(tmp_path: Path) -> None:
-    assert load_two_axes(JOINED.save(tmp_path / "both.yaml")).joined
-    from hystmpc.sim.sweep.settings import load_sweep
-    from hystmpc.trials.config import dump_yaml
-
-    (tmp_path / "study.yaml").write_text(dump_yaml(study(tmp_path)))
-    (tmp_path / "sweep.yaml").write_text("base: study.yaml\ngrid: {seed: [1, 2]}\n")
-    with pytest.raises(HystmpcError, match="two axes") as refused:
-        load_sweep(tmp_path / "sweep.yaml")
-    assert len(str(refused.value)) <= 300
