@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from .kinds.kind import FitRequest, Identified, ModelKind
     from .linear.nonlinearities import OperatorNonlinearity, SettledNonlinearity
     from .linear.systems import from_control
+    from .maps import QuadraticMap, TipMap
     from .model import Model
     from .operators.operator import Memoryless, Number, Operator, maximum, minimum
     from .two_axes.model import CrossFriction, TwoAxisModel, load_two_axes
@@ -34,8 +35,10 @@ __all__ = [
     "Number",
     "Operator",
     "OperatorNonlinearity",
+    "QuadraticMap",
     "Scale",
     "SettledNonlinearity",
+    "TipMap",
     "TwoAxisModel",
     "add_effect",
     "effect_operator",
@@ -57,6 +60,7 @@ if not TYPE_CHECKING:
         ("hystmpc.models.effects.catalogue", "add_effect"),
         ("hystmpc.models.effects.place", "effect_operator neutral_operator with_effect"),
         ("hystmpc.models.kinds.catalogue", "kind_named"),
+        ("hystmpc.models.maps", "QuadraticMap TipMap"),
         ("hystmpc.models.kinds.kind", "FitRequest Identified ModelKind"),
         ("hystmpc.models.linear.nonlinearities", "OperatorNonlinearity SettledNonlinearity"),
         ("hystmpc.models.linear.systems", "from_control"),

@@ -120,13 +120,19 @@ class HasInputs(Protocol):
     """Memory of a controller whose model depends on measured inputs; attributes as of `Snapshot`."""
 
     @property
-    def control(self) -> Any: ...
+    def control(self) -> Any:
+        """The controller's state; None before its start."""
+        ...
 
     @property
-    def inputs(self) -> Mapping[str, float]: ...
+    def inputs(self) -> Mapping[str, float]:
+        """Last usable values."""
+        ...
 
     @property
-    def unmeasured(self) -> bool: ...
+    def unmeasured(self) -> bool:
+        """Whether it was said that an input has no value yet."""
+        ...
 
 
 class TakesInputs(Protocol):
@@ -186,7 +192,9 @@ class HasStatus(Protocol):
     """Command of a step, with what was unusual."""
 
     @property
-    def status(self) -> str: ...
+    def status(self) -> str:
+        """`ok`, or what was unusual."""
+        ...
 
 
 AnyCommand = TypeVar("AnyCommand", bound=HasStatus)
