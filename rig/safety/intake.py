@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, final
 
 from pydantic import Field, model_validator
 
+from hystmpc.ctrl.command import number_of
 from hystmpc.ctrl.estimation.observer import ANGLE_BOUND_DEG
 from hystmpc.trials.config import Count, Positive, Settings
 
@@ -342,9 +343,10 @@ class Intake:
 
     def _take_inputs(self, reading: Reading) -> set[str]:
         """Keep the usable values of measured inputs in a reading; return their names."""
-        known = {name for name in self._inputs if math.isfinite(reading.inputs.get(name, math.nan))}
-        self._inputs |= {name: float(reading.inputs[name]) for name in known}
-        return known
+        numbers = ((name, number_of(reading.inputs.get(name))) for name in self._inputs)
+        known = {name: value for name, value in numbers if value is not None and math.isfinite(value)}
+        self._inputs |= known
+        return set(known)
 
     def numbers(self, dt_s: float, recent: int) -> Mapping[str, Any] | None:
         """Initial state of the same checks in C, for `recent` commands; None if sensor or state is not supported."""

@@ -63,14 +63,14 @@ def test_a_reading_crosses_the_wire_with_its_inputs_and_no_other_end_takes_it(
 
 def test_a_lost_value_is_a_fault_and_the_last_one_holds() -> None:
     intake = Intake(SensorSettings(lower_deg=0, upper_deg=120), 0, inputs=("bar",))
-    given_ = [{"bar": 2.0}, {}, {"bar": math.nan}, {"bar": 3.0, "other": 1.0}, None]
+    given_ = [{"bar": 2.0}, {}, {"bar": math.nan}, {"bar": "much"}, {"bar": 3.0, "other": 1.0}, None]
     seen = []
     for k, inputs in enumerate(given_):
         now = round(k * DT * NS)
         readings = [] if inputs is None else [Reading(40.0 + 0.1 * k, k, 1, now, now, 1.0, inputs=inputs)]
         seen.append(intake.judge(readings, now, 1.0))
-    assert [dict(one.inputs) for one in seen] == [{"bar": 2.0}] * 3 + [{"bar": 3.0}] * 2
-    assert ["no-bar" in one.faults for one in seen] == [False, True, True, False, True]
+    assert [dict(one.inputs) for one in seen] == [{"bar": 2.0}] * 4 + [{"bar": 3.0}] * 2
+    assert ["no-bar" in one.faults for one in seen] == [False, True, True, True, False, True]
 
 
 def pressure(folder: Path) -> Path:
