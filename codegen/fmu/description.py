@@ -38,6 +38,19 @@ _EXPERIMENT_S = 10.0
 
 
 @dataclass(frozen=True)
+class DescribedInput:
+    """Measured input on which a device depends: its name, the range of the identification, and its value at the start.
+
+    Beyond that range the nearest value counts.
+    """
+
+    name: str
+    lower: float
+    upper: float
+    start: float
+
+
+@dataclass(frozen=True)
 class Described:
     """Device data for the XML descriptions of an FMU.
 
@@ -48,6 +61,7 @@ class Described:
         rest_command: command before the first one is set; of two axes each.
         tool: program that wrote the FMU.
         token: instantiation token, equal in binary and description.
+        inputs: measured inputs, whose value references follow those of the outputs.
     """
 
     name: str
@@ -60,6 +74,7 @@ class Described:
     rest_command: Numbers
     tool: str
     token: str = ""
+    inputs: tuple[DescribedInput, ...] = ()
 
     @property
     def commands(self) -> tuple[str, ...]:
@@ -143,12 +158,15 @@ def _variables(described: Described) -> list[tuple[dict[str, str], dict[str, str
         held = {"min": repr(least), "max": repr(most), "start": repr(start)}
         rows.append((name, "input", "held over each step", described.command_unit, held))
     rows += [(name, "output", true, described.output_unit, {}) for name in described.outputs]
+    for one in described.inputs:
+        text = f"measured input, held over each step; identified from {one.lower:g} to {one.upper:g}"
+        rows.append((one.name, "input", text, "", {"start": repr(one.start)}))
     variables = []
     for reference, (name, causality, text, unit, more) in enumerate(rows, TIME):
         shared = {"name": name, "valueReference": str(reference), "causality": causality, "variability": "continuous"}
         shared |= {"description": text} if text else {}
         shared |= {"initial": "calculated"} if causality == "output" else {}
-        variables.append((shared, {"unit": unit, **more}))
+        variables.append((shared, {**({"unit": unit} if unit else {}), **more}))
     return variables
 
 

@@ -13,6 +13,7 @@ from hystmpc.core.library import engine
 from hystmpc.models.chain import Chain
 from hystmpc.models.operators.measurement import Sensor
 from hystmpc.models.operators.operator import Operator
+from hystmpc.models.scheduled import input_states
 from hystmpc.models.simulator import Simulator
 from hystmpc.models.stages import operator_program
 from hystmpc.models.two_axes.model import TwoAxisModel
@@ -66,10 +67,16 @@ def text_of(simulator: Simulator, rest: tuple[float, Vec], rest_command: float) 
     """Text of a device of one axis, which starts at a rest: output and state (S,).
 
     Raises:
-        ExportError: if the simulator is an inverse map, has a sensor or depends on a measured input.
+        ExportError: if the simulator is an inverse map or has a sensor.
     """
     _check(simulator)
-    code = _chain_code(simulator.chain.operators)
+    code, places = _chain_code(simulator.chain.operators), input_states(simulator.chain.operators)
+    entries = [f"{{{k}, {entry}}}" for k, row in enumerate(places.values()) for entry in row]
+    rows = ", ".join([*entries, "{-1, 0}"])
+    inputs = [
+        f"#define HYSTMPC_INPUTS {len(places)}",
+        f"static const int device_inputs[][2] = {{{rows}}}; /* input, entry of the state */",
+    ]
     return DeviceText(
         "one_axis",
         (),
@@ -81,7 +88,13 @@ def text_of(simulator: Simulator, rest: tuple[float, Vec], rest_command: float) 
                 f"#define HYSTMPC_REST_COMMAND {number(rest_command)}",
             ]
         ),
-        "\n".join([_room([code]), *_tables("device_chain", "device_kept", code, simulator.chain, simulator.dt_s)]),
+        "\n".join(
+            [
+                _room([code]),
+                *_tables("device_chain", "device_kept", code, simulator.chain, simulator.dt_s),
+                *(inputs if places else ()),
+            ]
+        ),
         functions_called(code.code.tolist()),
     )
 
@@ -95,6 +108,8 @@ def text_in_plane(device: DeviceInPlane) -> DeviceText:
     model, dt_s = device.model, device.model.dt_s
     for axis in model.axes:
         _check(axis)
+        if names := ", ".join(one.name for one in axis.chain.inputs):
+            raise ExportError(f"export-fmu: an axis depends on {names}, expected two axes without measured inputs")
     chains = {"device_x": model.axes[0].chain, "device_y": model.axes[1].chain}
     chains |= {"device_drive": Chain(device.drive[0], after=device.drive[1:])} if device.drive else {}
     codes = {name: _chain_code(chain.operators) for name, chain in chains.items()}
@@ -139,8 +154,6 @@ def _matrices(model: TwoAxisModel) -> list[str]:
 def _check(simulator: Simulator) -> None:
     if simulator.metadata().inverse:
         raise ExportError("export-fmu: got an inverse map, supported are simulators of a device: command to angle")
-    if names := ", ".join(one.name for one in simulator.chain.inputs):
-        raise ExportError(f"export-fmu: the simulator depends on {names}, supported are those without measured inputs")
     if any(isinstance(operator, Sensor) for operator in simulator.chain.operators):
         raise ExportError("export-fmu: got a sensor in the chain, supported is the true angle: take the sensor out")
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Literal, get_args
 
+from hystmpc.models.scheduled import input_states
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import ExportError, did_you_mean
 from hystmpc.trials.files import write_atomically
@@ -23,7 +24,7 @@ from hystmpc.trials.types import Vec
 from ..amalgam import ONE_FILE, amalgam
 from ..compiler import compiler, shared_library, zig
 from ..literals import number
-from .description import Described, build_description, model_description
+from .description import Described, DescribedInput, build_description, model_description
 from .device import DeviceInPlane, DeviceText, text_in_plane, text_of
 
 FmuVersion = Literal["2.0", "3.0"]
@@ -34,7 +35,7 @@ _HEADERS: Mapping[str, tuple[str, ...]] = {
 }
 _SOURCE = "fmu.c"
 _ENGINE = ("program.c", "inverse.c")
-_SECTION = re.compile(r"^@(\w+)@\n", re.MULTILINE)
+_SECTION, _PIECE = (re.compile(rf"^{mark}(\w+){mark}\n", re.MULTILINE) for mark in "@%")
 _OLDEST = (1980, 1, 1, 0, 0, 0)  # of a zip file: equal devices give equal bytes
 
 
@@ -112,7 +113,8 @@ def export_fmu(
 ) -> FmuExport:
     """Export a simulator as a co-simulation FMU: command in, output out, one step per sample.
 
-    It starts at `rest` and agrees with the Python simulator up to rounding. The command is held over a step.
+    It starts at `rest` and agrees with the Python simulator up to rounding. The command is held over a step. Measured
+    inputs are further input variables, which keep their values of the start until they are set.
 
     Args:
         simulator: with its effects, at the sample time of the FMU; a `SimulatedPlant` has it as `simulator`.
@@ -137,6 +139,7 @@ def export_fmu(
         limits=(simulator.command_limits.lower, simulator.command_limits.upper),
         rest_command=held,
         tool=f"hystmpc {version_of('hystmpc')}",
+        inputs=_inputs(simulator, rest[1]),
     )
     token = _token((described, text.tables, rest[0], rest[1].tolist(), version))
     return _exported(replace(described, token=token), text, version, platforms)
@@ -191,6 +194,13 @@ def _exported(
     )
 
 
+def _inputs(simulator: Simulator, state: Vec) -> tuple[DescribedInput, ...]:
+    """Measured inputs of a simulator, with their values in a state (S,)."""
+    places = input_states(simulator.chain.operators)
+    known = simulator.chain.inputs
+    return tuple(DescribedInput(one.name, one.lower, one.upper, float(state[places[one.name][0]])) for one in known)
+
+
 def _check(version: str) -> None:
     if version not in get_args(FmuVersion):
         raise ExportError(f"export-fmu: got FMI {version}, expected 2.0 or 3.0")
@@ -221,16 +231,22 @@ def _sources(described: Described, text: DeviceText, version: str) -> Mapping[st
         "",
         text.tables,
     ]
-    parts = ["\n".join(head), _device(text.part), _packaged(f"fmi{major}.c")]
+    parts = ["\n".join(head), _device(text.part, bool(described.inputs)), _packaged(f"fmi{major}.c")]
     return {_SOURCE: "\n".join(parts), **{header: _packaged(header) for header in _HEADERS[version]}}
 
 
-def _device(part: str) -> str:
-    """Text of device.c, completed by the sections of a part, each behind a line `@NAME@`."""
+def _device(part: str, inputs: bool) -> str:
+    """Text of device.c, completed by the sections of a part, each behind a line `@NAME@`.
+
+    In the places `%NAME%` of a part are pieces of inputs.c, or nothing without measured inputs.
+    """
     _, *sections = _SECTION.split(_packaged(f"{part}.c"))
     text = _packaged("device.c")
     for name, section in zip(sections[::2], sections[1::2], strict=True):
         text = text.replace(f"@{name}@\n", section)
+    _, *pieces = _PIECE.split(_packaged("inputs.c"))
+    for name, piece in zip(pieces[::2], pieces[1::2], strict=True):
+        text = text.replace(f"%{name}%\n", piece if inputs else "")
     return text
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import fmpy
@@ -77,10 +78,11 @@ def names(fmu: Path, causality: str) -> list[str]:
     return [variable.name for variable in described.modelVariables if variable.causality == causality]
 
 
-def by_fmpy(fmu: Path, commands: Vec, dt_s: float) -> Vec:
-    """The same, as fmpy simulates an FMU."""
+def by_fmpy(fmu: Path, commands: Vec, dt_s: float, along: Mapping[str, Vec] = MappingProxyType({})) -> Vec:
+    """The same, as fmpy simulates an FMU; `along`: measured inputs (T,) by name, which stay where left out."""
     inputs, outputs = names(fmu, "input"), names(fmu, "output")
-    times, columns = np.arange(len(commands)) * dt_s, commands.reshape(len(commands), -1).T
+    times, columns = np.arange(len(commands)) * dt_s, [*commands.reshape(len(commands), -1).T, *along.values()]
+    inputs = [*inputs[: len(columns) - len(along)], *along]
     table = np.array(
         list(zip(times, *columns, strict=True)), dtype=[("time", float), *((name, float) for name in inputs)]
     )
@@ -114,8 +116,8 @@ class Instance:
         description = fmpy.read_model_description(str(folder))
         self.lines: list[str] = []
         kinds = [variable.causality for variable in description.modelVariables]
-        self.commands = [k for k, kind in enumerate(kinds) if kind == "input"]
         self.outputs = [k for k, kind in enumerate(kinds) if kind == "output"]
+        self.commands = [k for k, kind in enumerate(kinds) if kind == "input" and k < self.outputs[0]]
         self._new = description.fmiVersion == "3.0"
         identifier = description.coSimulation.modelIdentifier
         told = {"guid": description.guid, "unzipDirectory": str(folder), "modelIdentifier": identifier}

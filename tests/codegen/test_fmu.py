@@ -24,6 +24,7 @@ from hystmpc.codegen.fmu import FmuVersion
 from hystmpc.models.chain import Chain, operators
 from hystmpc.models.load import library_file
 from hystmpc.models.operators.measurement import Sensor
+from hystmpc.models.scheduled import Scheduled
 from hystmpc.models.simulator import Simulator, load_simulator
 from hystmpc.models.two_axes.model import TwoAxisModel
 from hystmpc.sim import Effects, SimulatedPlant
@@ -48,8 +49,11 @@ from .importer import (  # noqa: E402
     Device,
     InPlane,
     Instance,
+    by_fmpy,
+    by_python,
     exported,
     greatest_difference,
+    motions,
     names,
     written,
 )
@@ -71,7 +75,7 @@ PLANTS: Mapping[str, tuple[Simulator, Mapping[str, Any]]] = {
     "lag, delay, creep, stick-slip, hum, drift": (_SHIPPED["tendon-catheter"], {"effects": _EFFECTS}),
     "never bent": (simulator(WITH_EFFECTS), {"effects": Effects(virgin=True)}),
     "at 100 Hz": (_SHIPPED["auto"], {"effects": Effects(delay_s=0.033), "dt_s": 0.01}),
-    **{name: (simulator(chain), {}) for name, chain in CHAINS.items() if not chain.inputs},  # an FMU has none
+    **{name: (simulator(chain), {}) for name, chain in CHAINS.items()},
     # One of each operator: the engine runs it, whose other forms are compared in tests/models/test_backends.py.
     **{
         example.name: (simulator(Chain(example)), {})
@@ -151,7 +155,7 @@ def started(folder: Path, start_s: float = 0.0, stop_s: float | None = None) -> 
 
 def test_every_operator_is_tried() -> None:
     tried_ones = {type(operator) for found, _ in PLANTS.values() for operator in found.chain.operators}
-    assert tried_ones == {*operators().values()} - {Sensor}
+    assert tried_ones == {*operators().values(), Scheduled} - {Sensor}
 
 
 @pytest.mark.parametrize(("name", "version"), cases)
@@ -160,6 +164,30 @@ def test_it_repeats_the_python_simulator(name: str, version: FmuVersion, tmp_pat
     fmu = written(plant, tmp_path / "device.fmu", version)
     assert validate_fmu(str(fmu)) == []
     assert greatest_difference(fmu, plant) <= 1e-9  # not-a-number is not
+
+
+@versions
+def test_measured_inputs_are_further_variables(version: FmuVersion, tmp_path: Path) -> None:
+    """They act in the sample in which they are set; their ranges and starts are described."""
+    chain = CHAINS["pi by two inputs"]
+    along = {"pressure_bar": lambda t: 3.0 + 3.5 * np.sin(0.9 * t), "load_g": lambda t: 60.0 * np.abs(np.sin(0.4 * t))}
+    plant = SimulatedPlant(simulator(chain), inputs=along)
+    fmu = written(plant, tmp_path / "device.fmu", version)
+    assert validate_fmu(str(fmu)) == []
+    assert sorted(names(fmu, "input")) == sorted(["command", *along])
+    for commands in motions(plant):
+        t = plant.dt * np.arange(len(commands))
+        known = {name: f(t) for name, f in along.items()}
+        off = np.abs(by_fmpy(fmu, commands, plant.dt, known) - by_python(plant, commands))
+        assert off.max() <= 1e-9
+    one = started(Path(fmpy.extract(str(fmu), str(tmp_path / "unpacked"))))
+    place = one.outputs[-1] + 1
+    one.set(place, 4.5)
+    assert one.get(place) == 4.5
+    with pytest.raises(Exception, match=r"[Ss]et"):
+        one.set(place, np.nan)
+    assert one.get(place) == 4.5
+    assert "measured input" in one.lines[-1]
 
 
 @pytest.mark.slow

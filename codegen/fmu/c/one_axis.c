@@ -5,6 +5,7 @@ enum { TIME = 0, COMMAND = 1, OUTPUT = 2 };             /* value references, as 
     double x[HYSTMPC_STATES];
     double command, output;
 @ACCESS@
+%INPUTS%
 /* At rest, as the Python simulator is after a reset. */
 static void device_reset(device_state *s) {
     static const double rest[HYSTMPC_STATES] = HYSTMPC_REST;
@@ -21,6 +22,7 @@ static int device_get(const struct instance *d, const device_state *s, const uns
         if (which[i] == TIME) values[i] = device_time(s);
         else if (which[i] == COMMAND) values[i] = s->command;
         else if (which[i] == OUTPUT) values[i] = s->output;
+%GET_INPUT%
         else return tell(d, FAILED, "get: unknown value reference, expected 0 (time), 1 (command) or 2 (output)");
     }
     return DONE;
@@ -29,6 +31,7 @@ static int device_get(const struct instance *d, const device_state *s, const uns
 static int device_set(const struct instance *d, device_state *s, const unsigned int *which, size_t count,
                       const double *values) {
     for (size_t i = 0; i < count; i++) {
+%SET_INPUT%
         if (which[i] != COMMAND) return tell(d, FAILED, "set: only value reference 1, the command, can be set");
         if (!plain_number(values[i])) return tell(d, REFUSED, "set: the command is not a finite number");
         s->command = values[i];
