@@ -44,6 +44,7 @@ typedef struct {
     real *jacobian; /* (2, H, n, H) */
     real *asked;    /* moves that the reference asks for (n, H) */
     real *better;   /* (n H + 1): other plans, and their foreseen cost */
+    real *proposed; /* (n H): those of the axes, where what is left of the last ones is cheaper */
     real *travels, *y, *theta, *wanted; /* (2, H) */
     real *state[HYSTMPC_AXES];
     char *room; /* of the models' functions */
@@ -341,7 +342,7 @@ static int axes_slopes(const axes_call *c, const real *plans, axes_joint *q) {
 static long axes_joint_room(const hystmpc_axes *a) {
     const long h = a->first->law->horizon, n = a->commands;
     long numbers = room_for(axes_program(a->law)) + room_for(2L * hystmpc_program_unknowns(a->law));
-    numbers += room_for(4 * h * h) + room_for(2 * h * n * h) + room_for(n * h + 1) + 5 * room_for(2 * h) + room_for(n * h);
+    numbers += room_for(4 * h * h) + room_for(2 * h * n * h) + room_for(n * h + 1) + 5 * room_for(2 * h) + 2 * room_for(n * h);
     if (a->cross) numbers += room_for(hystmpc_cross_room(a->cross, (int)h));
     for (int i = 0; i < HYSTMPC_AXES; i++) numbers += room_for(hystmpc_model_states(axes_problem(a, i)->model));
     return numbers;
@@ -384,6 +385,7 @@ static void axes_lay_out(const axes_call *c, const real *reference, axes_joint *
     q->slopes = room_take(&room, 4 * h * h);
     q->jacobian = room_take(&room, 2 * h * n * h);
     q->better = room_take(&room, n * h + 1);
+    q->proposed = room_take(&room, n * h);
     q->asked = room_take(&room, n * h);
     real **const rows[5] = {&q->travels, &q->y, &q->theta, &q->wanted, &q->rub};
     for (int i = 0; i < 5; i++) *rows[i] = room_take(&room, 2 * h);
@@ -421,8 +423,9 @@ static int axes_improve(const axes_call *c, const hystmpc_task *tasks, real *pla
 }
 
 /* The cheaper one of both axes' plans and of what is left of the last ones, travels `ahead` (2, S), improved by a program
- * for all commands, in place. `bound`: limits have moved the axes' plans. The axes' proposals become its travels and
- * angles, `shared` (2, S) its friction. 0, or another number where a model from outside has failed. */
+ * for all commands, in place; where that program finds no way, one around the axes' plans. `bound`: limits have moved
+ * them. The axes' proposals become its travels and angles, `shared` (2, S) its friction. 0, or another number where a model
+ * from outside has failed. */
 static int axes_weigh(axes_call *c, int bound, const real *reference, const real *ahead, real *plans, real *shared,
                       char *room) {
     const hystmpc_axes *const a = c->a;
@@ -439,13 +442,23 @@ static int axes_weigh(axes_call *c, int bound, const real *reference, const real
     }
     if (axes_answer(c, plans, !bound, &q)) return 1;
     real cost = hystmpc_plan_cost(a->law, tasks, plans, q.theta);
+    int rest_is_cheaper = 0;
     if (a->cross) {
         axes_admit(c, ahead, samples, q.better);
         if (axes_answer(c, q.better, 0, &q)) return 1;
         const real other = hystmpc_plan_cost(a->law, tasks, q.better, q.theta);
-        if (other < cost) copy(q.better, plans, n * h), cost = other;
+        rest_is_cheaper = other < cost;
+        if (rest_is_cheaper) {
+            copy(plans, q.proposed, n * h);
+            copy(q.better, plans, n * h);
+            cost = other;
+        }
     }
-    const int better = axes_improve(c, tasks, plans, cost, &q);
+    int better = axes_improve(c, tasks, plans, cost, &q);
+    if (!better && rest_is_cheaper) { /* a rest within a dead band has no slope that leads out of it: the proposals have */
+        better = axes_improve(c, tasks, q.proposed, cost, &q);
+        if (better > 0) copy(q.proposed, plans, n * h);
+    }
     if (better < 0 || (!better && axes_answer(c, plans, 0, &q))) return 1;
     const int delay = a->first->sensing->delay;
     for (int i = 0; i < HYSTMPC_AXES; i++) {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -45,7 +44,6 @@ _STOPPED = "after repeated failures"
 _WORSE = tuple(list(Source).index(source) for source in SOURCES)  # of the engine's levels of fallback
 _Part = tuple[slice, Places]
 _DEAR_S, _TOLERANCE = 0.018, 0.25  # where friction is shared: T [s]; tolerance of a hold, of the model's error
-_DRIVES, _MOST_SAMPLES = 1.8, 60  # of a preview there: of the drives' time; at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +145,6 @@ class TwoAxisController(HoldsAddresses):
         each = [settings] * AXES
         if model.cross_friction is not None and isinstance(settings, PredictiveSettings):
             settings = _dearer(settings, [static_gain(pair[0]) for pair in pairs], model.dt_s)
-            settings = _farther(settings, model)
             each = [_tolerant(settings, axis) for axis in model.axes]
         x, y = (build_controller(*one) for one in zip(each, *zip(*pairs, strict=True), travels, strict=True))
         self._axes = x, y
@@ -395,27 +392,6 @@ def _dearer(settings: Predictive, gains: Sequence[float], dt_s: float) -> Predic
     rate = max(float(np.mean(np.square(gains))) * (_DEAR_S / dt_s) ** 2, settings.weights.rate_close)
     weights = settings.weights.model_copy(update={"rate": rate, "rate_close": rate})
     return settings.model_copy(update={"weights": weights})
-
-
-def _farther(settings: Predictive, model: TwoAxisModel) -> Predictive:
-    """Settings of axes that share friction: the preview lasts until both drives have followed.
-
-        preview = 1.8 t_90, t_90 the greater time in which a step of the travel has moved an axis by nine tenths
-
-    A shorter one sees the way across a dead band, but not the motion behind it. It is never shorter than that of one
-    axis, nor longer than 60 samples.
-    """
-    if settings.horizon is not None:
-        return settings
-    usual, samples = settings.preview_samples(model.dt_s), 0
-    for axis in model.axes:
-        reach, angles = axis.command_limits, axis.trained_angle_deg
-        step = np.full(_MOST_SAMPLES + 1, 0.5 * (reach.lower + reach.upper))
-        step[0] = reach.lower
-        moved = np.abs(ChainModel(axis).run(step, angles.lower) - angles.lower)
-        samples = max(samples, math.ceil(_DRIVES * int(np.argmax(moved >= 0.9 * moved[-1]))))
-    horizon = min(samples, _MOST_SAMPLES)
-    return settings if horizon <= usual else settings.model_copy(update={"horizon": horizon})
 
 
 def _tolerant(settings: Predictive, axis: Simulator) -> Predictive:

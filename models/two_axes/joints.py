@@ -128,7 +128,8 @@ def _order(trials: Sequence[Trial]) -> Vec:
         np.vstack([getattr(t, name) - getattr(t, name).mean(0) for t in trials]) for name in ("commands", "angles")
     )
     if np.any(u.std(0) == 0):
-        raise FitError("two axes: got a command that does not move, expected motion of every one")
+        which = "both" if u.shape[1] == AXES else "every one"
+        raise FitError(f"two axes: got a command that does not move, expected motion of {which}")
     gains = np.linalg.lstsq(u, theta, rcond=None)[0].T
     left = (theta - u @ gains.T).var(0) / np.maximum(theta.var(0), 1e-30)
     if np.any(left > 1 - _LEAST_LINK):

@@ -62,9 +62,12 @@ def test_fit_finds_two_axes_and_writes_their_model(logs: Path, tmp_path: Path) -
 def test_trials_of_two_commands_are_taken_as_they_are() -> None:
     made = cast(FitOfBothAxes, hystmpc.fit("pi", recorded(two_axes(((1.0, 0.2), (-0.1, 1.0))), range(2))))
     assert made.identified.joint == "tendons"
-    three = [Trial(DT * np.arange(200), np.zeros((200, 3)), np.zeros((200, 2)))]
+    three = [Trial(DT * np.arange(200), np.zeros((200, 2)), np.zeros((200, 3)))]
     with pytest.raises(LogError, match="expected one of each, or two"):
         hystmpc.fit("pi", three)
+    still = [Trial(DT * np.arange(200), np.zeros((200, 3)), np.zeros((200, 2)))]
+    with pytest.raises(FitError, match="does not move, expected motion of every one"):
+        hystmpc.fit("pi", still)
 
 
 def test_options_of_one_axis_are_refused_in_a_line(logs: Path) -> None:
