@@ -316,7 +316,7 @@ def require_plane_model(path: Path, command_unit: str) -> TwoAxisModel:
     """
     model = load_two_axes(path)
     if (n := len(model.command_limits)) != AXES:
-        raise ModelError(f"{path}: a model of {n} tendons, expected one of two commands, as `fit` writes it")
+        raise ModelError(f"{path}: a model of {n} tendons, expected one of two: save `in_travels()` of it")
     if (unit := model.axes[0].command_unit) != command_unit:
         raise ModelError(f"{path}: takes commands in {unit}, expected the bench's {command_unit}")
     return model

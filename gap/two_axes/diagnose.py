@@ -87,7 +87,7 @@ def diagnose_two_axes(
         ConfigError: if `out` holds anything but an older diagnosis of two axes, or cannot be written.
     """
     if (n := len(simulator.command_limits)) != AXES:
-        raise GapError(f"--sim: a model of {n} tendons, a diagnosis expects one of two commands, as `fit` writes it")
+        raise GapError(f"--sim: a model of {n} tendons, a diagnosis expects one of two: `in_travels()` of the model")
     library = (*FREE, *diagnosable())
     for name in (*without, *(only or ())):
         if name not in library:

@@ -304,6 +304,32 @@ class TwoAxisModel:
             rest_commands=(float(pretension),) * n,
         )
 
+    def in_travels(self) -> TwoAxisModel:
+        """Model of the same device whose two commands are the travels w; `commands` of this one gives all n of them.
+
+        The limits are a box around the rest, as large along both axes, in which all n commands keep theirs:
+
+            |w_i - (M u_0)_i| <= min_k m_k / (|N_kx| + |N_ky|),    m_k the room of command k around its rest
+
+        Raises:
+            ModelError: if a command rests at one of its limits.
+        """
+        rest = np.array(self.rest_commands)
+        low, high = (np.array([getattr(one, end) for one in self.command_limits]) for end in ("lower", "upper"))
+        pull = np.abs(self.unmix).sum(axis=1)
+        size = float(np.min(np.minimum(high - rest, rest - low)[pull > 0] / pull[pull > 0]))
+        rate = float(np.min(np.array(self.command_rates_per_s)[pull > 0] / pull[pull > 0]))
+        if size <= 0:
+            raise ModelError("in_travels: a command rests at its limit, expected rest_commands with room on both sides")
+        x, y = (self.matrix @ rest).tolist()
+        return replace(
+            self,
+            mix=((1.0, 0.0), (0.0, 1.0)),
+            command_limits=(Range(lower=x - size, upper=x + size), Range(lower=y - size, upper=y + size)),
+            command_rates_per_s=(rate, rate),
+            rest_commands=(x, y),
+        )
+
     def save(self, path: Path | str) -> Path:
         """Write the model file (`.yaml`), whole or not at all."""
         file = TwoAxisFile(

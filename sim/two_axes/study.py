@@ -115,7 +115,7 @@ def prepare_two_axes(config: TwoAxisSimulationConfig) -> TwoAxisStudy:
     for file, one in ((config.plant.simulator, device), (config.model, model)):
         if (n := len(one.command_limits)) != AXES:
             raise ConfigError(
-                f"{file}: a model of {n} commands, expected two as `fit` writes it: Clarke's coordinates of tendons"
+                f"{file}: a model of {n} commands, expected two: save `in_travels()` of that model"
             )
     unit, known = device.axes[0].command_unit, model.axes[0].command_unit
     if unit != known:

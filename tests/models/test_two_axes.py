@@ -231,6 +231,22 @@ def test_tendons_at_unknown_angles_are_identified(at_deg: tuple[float, ...]) -> 
     np.testing.assert_allclose(got, true, atol=0.02)
 
 
+@given(st.lists(st.floats(-1, 1), min_size=2, max_size=2), st.lists(st.floats(-1, 1), min_size=2, max_size=2))
+def test_within_the_limits_of_travels_every_tendon_keeps_its_own(a: list[float], b: list[float]) -> None:
+    tendons = two_axes(((1.0, 0.3), (-0.2, 1.0))).with_tendons(
+        [10, 130, 250], pretension=2.0, limits=[(0.5, 6.0)] * 3, rates_per_s=[4.0] * 3
+    )
+    plain = tendons.in_travels()
+    middle, half = (np.array([(sign * r.lower + r.upper) / 2 for r in plain.command_limits]) for sign in (1, -1))
+    here, there = (tendons.commands(middle + np.array(share) * half) for share in (a, b))
+    assert np.all((here >= 0.5 - 1e-9) & (here <= 6.0 + 1e-9))
+    far = np.abs((np.array(b) - a) * half).max()
+    most = max(4.0 * far / plain.command_rates_per_s[0], 1e-12)
+    assert np.all(np.abs(there - here) <= most + 1e-9)  # at the rate of the travels no tendon is faster than its own
+    w = np.tile(middle, (50, 1)) + np.linspace(0, 1, 50)[:, None] * np.array(a) * half
+    np.testing.assert_allclose(plain.run(w, np.zeros(2)), tendons.run(tendons.commands(w), np.zeros(2)), atol=1e-9)
+
+
 BAR = MeasuredInput("bar", 2.0, 1.0, 4.0)
 
 
