@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from hystmpc.codegen import export_controller, export_fmu
+from hystmpc.codegen import export_controller
 from hystmpc.ctrl.planner.tip_controller import TipController
 from hystmpc.models.simulator import save_simulator
-from hystmpc.trials.errors import ExportError
 
 from ..ctrl.test_inputs import CHAIN
 from ..models.zoo import simulator
@@ -37,8 +35,3 @@ def test_an_exported_controller_measures_its_inputs_as_in_python(kind: str, tmp_
     assert made.input(0, math.nan) == 0
     assert made.input(1, 2.0) == 0
     assert made.input(-1, 2.0) == 0
-
-
-def test_an_fmu_refuses_a_simulator_with_inputs_in_one_line() -> None:
-    with pytest.raises(ExportError, match="depends on bar, supported are those without measured inputs"):
-        export_fmu(simulator(CHAIN), (40.0, np.zeros(CHAIN.state_size)))
