@@ -114,9 +114,7 @@ def prepare_two_axes(config: TwoAxisSimulationConfig) -> TwoAxisStudy:
     device = load_two_axes(config.plant.simulator).at_sample_time(model.dt_s)
     for file, one in ((config.plant.simulator, device), (config.model, model)):
         if (n := len(one.command_limits)) != AXES:
-            raise ConfigError(
-                f"{file}: a model of {n} commands, expected two: save `in_travels()` of that model"
-            )
+            raise ConfigError(f"{file}: a model of {n} commands, expected two: save `in_travels()` of that model")
     unit, known = device.axes[0].command_unit, model.axes[0].command_unit
     if unit != known:
         raise ConfigError(f"plant {config.plant.name} takes {unit} and model {config.model} {known}, expected one unit")
