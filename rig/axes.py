@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from hystmpc.ctrl.command import CommandLimits
@@ -36,6 +37,12 @@ def _free_names(names: tuple[str, ...]) -> tuple[str, ...]:
 InputName = Annotated[str, Field(pattern="^[A-Za-z][A-Za-z0-9_]*$", max_length=40)]
 InputNames = Annotated[tuple[InputName, ...], Field(max_length=MOST_INPUTS), AfterValidator(_free_names)]
 """Names of the measured inputs of a reading in their order, such as `pressure_bar`; each gets a column of the log."""
+
+
+def from_the_first(values: Vec) -> Vec:
+    """Values (N,) of a measured input; those before the first number are that number. Empty without a number."""
+    known = np.flatnonzero(np.isfinite(values))
+    return np.where(np.arange(values.size) < known[0], values[known[0]], values) if known.size else values[:0]
 
 
 def each(value: Any) -> tuple[Any, ...]:

@@ -345,7 +345,7 @@ class TwoAxisController(HoldsAddresses):
         return self.model.turn @ nearest + disturbance_deg, commands
 
     def measured_deg(self, state: TwoAxisState) -> Vec:
-        """Last accepted measurement (2,) [deg], in the sample of which the axes share the friction of that time."""
+        """Last accepted measurement (2,) [deg], with the shared friction of the newest sample that was measured."""
         y = np.array([axis.known.measured for axis in state.axes])
         if self.model.cross_friction is not None:  # axes see their angles without it; the head of a memory, core/axes.h
             n, late = len(self.limits), 1 + int(self._axes[0].problem.fields["sensing"].fields.get("delay", 0))

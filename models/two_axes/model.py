@@ -202,7 +202,7 @@ class TwoAxisModel:
         """A (2, 2)."""
         return np.array(self.frame, dtype=np.float64)
 
-    @property
+    @cached_property
     def inputs(self) -> tuple[MeasuredInput, ...]:
         """Measured inputs on which an axis depends, each once, with the range of both axes together."""
         made: dict[str, MeasuredInput] = {}

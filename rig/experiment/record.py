@@ -37,7 +37,7 @@ from hystmpc.trials.tables import LogTable, read_table
 from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Mask, Vec
 
-from ..axes import NAMES, PerAxis, each, from_array, like, rows_of, together, trial_columns
+from ..axes import NAMES, PerAxis, each, from_array, from_the_first, like, rows_of, together, trial_columns
 from ..config import BenchSettings, located
 from ..live.desk import Desk, LiveSettings
 from ..plane_config import Both, PlaneBenchSettings, file_of_two_axes
@@ -130,10 +130,10 @@ class Recorded(Phase):
         return Trial(self._dt * t[seen], u[seen], y[seen], inputs, Units(command=unit), self.name)
 
     def _seen_inputs(self, seen: Mask) -> dict[str, Vec]:
-        """Measured inputs of these samples by name, as channels of a trial; without those that have no value in one."""
+        """Measured inputs of these samples, as channels of a trial, see `from_the_first`; without those of no value."""
         rows = [self.inputs[k] for k in np.flatnonzero(seen)]
-        made = {name: np.array([row.get(name, math.nan) for row in rows]) for name in rows[-1]} if rows else {}
-        return {name: values for name, values in made.items() if np.isfinite(values).all()}
+        made = {name: from_the_first(np.array([row[name] for row in rows])) for name in (rows[0] if rows else ())}
+        return {name: values for name, values in made.items() if values.size}
 
     @property
     def whole(self) -> bool:

@@ -27,6 +27,7 @@ from hystmpc.trials.run_folder import Column, RunFolder
 from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Vec, lagged, rms
 
+from ..axes import from_the_first
 from ..config import BenchSettings, RunSettings
 from ..recording.report import Log, causes, numbers, timing_table, tracked
 from ..recording.sample import TAKEN
@@ -112,14 +113,9 @@ def compare_with_model(run: RunFolder, settings: RunSettings) -> ReviewedRun:
 
 
 def logged_inputs(log: Log, names: Sequence[str]) -> Mapping[str, Vec]:
-    """Measured inputs (N,) of a log by name; before its first value an input has that one. Left out: without any."""
-    made = {}
-    for name in names:
-        values = numbers(log, name) if name in log else np.empty(0)
-        known = np.flatnonzero(np.isfinite(values))
-        if known.size:
-            made[name] = np.where(np.arange(values.size) < known[0], values[known[0]], values)
-    return made
+    """Measured inputs (N,) of a log by name, see `from_the_first`; without those that have no value."""
+    made = {name: from_the_first(numbers(log, name)) for name in names if name in log}
+    return {name: values for name, values in made.items() if values.size}
 
 
 def review(rows: ReviewedRun, due_above_deg: float) -> Review:

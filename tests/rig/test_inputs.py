@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from hystmpc.bench.device import make_plant, plants_in
 from hystmpc.models.evaluate import evaluate
 from hystmpc.models.simulator import ChainModel, save_simulator
-from hystmpc.rig.axes import together
+from hystmpc.rig.axes import from_the_first, together
 from hystmpc.rig.config import RunSettings
 from hystmpc.rig.device import DeviceSettings, SimulatedDevice, open_link
 from hystmpc.rig.experiment.experiment import run_experiment, tracking_phase
@@ -71,6 +71,11 @@ def test_a_lost_value_is_a_fault_and_the_last_one_holds() -> None:
         seen.append(intake.judge(readings, now, 1.0))
     assert [dict(one.inputs) for one in seen] == [{"bar": 2.0}] * 4 + [{"bar": 3.0}] * 2
     assert ["no-bar" in one.faults for one in seen] == [False, True, True, True, False, True]
+
+
+def test_a_value_that_comes_late_costs_no_recording_its_input() -> None:
+    np.testing.assert_array_equal(from_the_first(np.array([math.nan, math.nan, 2.0, 3.0])), [2.0, 2.0, 2.0, 3.0])
+    assert from_the_first(np.full(3, math.nan)).size == 0
 
 
 def pressure(folder: Path) -> Path:
