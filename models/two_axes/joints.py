@@ -5,7 +5,8 @@
 P exchanges and mirrors commands so that every axis rises with its first one. Of more than two commands, such as those
 of tendons, P has the travel of each axis by every command; it minimises the error of the same model without M and A.
 The four numbers minimise the error of a model that is linear in plays and lags of w_i, whose weights follow by least
-squares (variable projection, Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973)). Hysteresis tells M from A: of memoryless linear axes only A M is known.
+squares (variable projection, Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973)). Hysteresis tells M from A: of
+memoryless linear axes only A M is known.
 """
 
 from __future__ import annotations
